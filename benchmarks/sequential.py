@@ -28,7 +28,7 @@ def sequential(observations: Observations) -> Rig:
         camera = as_float64(first.rig.camera)
         poses = poses_of_photographs(observations, first.rig.camera, np.asarray(first.system.boards.as_vector()))
         on_board, _ = stripe_on_board(observations, camera, poses)
-        points, _ = stripe_points_in_space(on_board, camera, poses, 0)
+        points, _, _ = stripe_points_in_space(on_board, camera, poses, 0)
         plane = LightPlane.create(total_least_squares(points))
         K = np.array(
             [

@@ -158,9 +158,8 @@ def triangulation(
         whole = Rig(whole.camera, (as_numpy(light),), whole.motion)
     ready, inputs = Kernel.create(whole, dtype=dtype), [jnp.asarray(x) for x in pixels]
     if swept:
-        ready = ready.with_lights(
-            [LightPlane.create([0.0, -0.00494, c]) for c in np.linspace(0.0025, 0.0035, n_frames)]
-        )
+        c = np.linspace(0.0025, 0.0035, n_frames)
+        ready = ready.with_lights(LightPlane((0 * c, 0 * c - 0.00494, c)))
     positions = {axis: np.linspace(0, 7e4, n_frames) for axis in whole.axes()}
     frames = FramePoses.create(whole.motion, positions, n_frames, dtype)
     points = jnp.zeros((*pixels[0].shape, 3), dtype)

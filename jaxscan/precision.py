@@ -16,6 +16,8 @@ from jaxscan.errors import InputError
 AT_ONCE: Final = 1024
 # A number of a rig: JAX's in a computation, NumPy's in a rig at rest (`as_numpy`).
 Leaf = Float[Array | np.ndarray, ""]
+# Of a stack of lights or motions there is one for each.
+Leaves = Float[Array | np.ndarray, "*stack"]
 
 
 @contextmanager

@@ -164,6 +164,10 @@ def test_files_are_as_the_readers_want_them(page: Path, world: Path, tmp_path: P
     for folder in ("boards", "stage"):
         (tmp_path / folder).symlink_to(world / "session" / folder)
     (tmp_path / "stripes").symlink_to(world / "session" / "boards")
+    (tmp_path / "sweeps").mkdir()
+    for board in (world / "session" / "boards").iterdir():
+        for i in range(7):
+            (tmp_path / "sweeps" / f"{board.stem}-{i}.png").symlink_to(board)
     # A photograph is of one pose: copies, not links.
     for folder in ("turntable", "poses"):
         shutil.copytree(world / "session" / "stage", tmp_path / folder)

@@ -58,7 +58,7 @@ def _pack(
     weights = np.zeros(shape)
     stripe = np.full((*striped, 2), np.nan)
     columns = np.ones(striped, bool)
-    light = np.zeros(striped, np.int32)
+    light, at = np.zeros(striped, np.int32), np.zeros(striped)
     for b, views in enumerate(boards):
         for i, view in enumerate(views):
             corners[b, i] = view.corners
@@ -68,6 +68,7 @@ def _pack(
             stripe[b, i, :n] = stripes[b][i]
             columns[b, i, :n] = np.repeat([s.columns for s in view.stripes], counts)
             light[b, i, :n] = np.repeat([s.laser for s in view.stripes], counts)
+            at[b, i, :n] = np.repeat([s.position for s in view.stripes], counts)
     reference = {axis: np.zeros(n_blocks) for axis in q}
     for b, sequence in enumerate(observations.sequences if q else ()):
         for axis, step in reference_positions(sequence).items():
@@ -84,6 +85,7 @@ def _pack(
         "stripe_used": np.isfinite(stripe).all(axis=-1),
         "stripe_columns": columns,
         "stripe_light": light,
+        "stripe_at": at if observations.light_axes else None,
         "radius": np.full((n_blocks, len(points)), observations.radius_mm) if observations.radius_mm else None,
     }
     return Blocks(**as_jax(arrays))

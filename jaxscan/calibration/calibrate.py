@@ -47,6 +47,7 @@ from jaxscan.geometry import Pose
 from jaxscan.precision import as_float64, as_jax, float64
 from jaxscan.rig import LIGHTS, BoardShape, Camera, Light, LightPlane, Rig, System
 from jaxscan.rig.board_shape import BENDS, BOARD_SHAPES
+from jaxscan.rig.light import moves
 from jaxscan.rig.splined import Splined
 from jaxscan.rig.stripe_way import STEEP, across_note, slope_across
 
@@ -118,6 +119,13 @@ def calibrate(
         raise InputError(f'light = "{light}": no laser was observed whose light that could be: leave it out')
     if len(kinds) != len(observations.lasers):
         raise InputError(f"light names {len(kinds)} kinds for {len(observations.lasers)} lasers: give one for each")
+    for kind, name in zip(kinds, observations.lasers, strict=True):
+        if moves(LIGHTS[kind]) != (name in observations.light_axes):
+            said = f'laser "{name}"' if name else "the laser"
+            raise InputError(
+                f'{said}: light = "{kind}", and light_axes of the observations is {dict(observations.light_axes)}: '
+                "name there what moves it if its light moves, and only then"
+            )
     if board_shape not in BOARD_SHAPES:
         raise InputError(f'board_shape = "{board_shape}": there are {", ".join(BOARD_SHAPES)}')
     known_rig = start if isinstance(start, Rig) else None
@@ -257,14 +265,18 @@ def _first_lights(
 ) -> tuple[Light, ...]:
     lights = []
     for i, (kind, name) in enumerate(zip(kinds, observations.lasers, strict=True)):
-        points, view = stripe_points_in_space(observations, camera, poses, i)
+        points, view, positions = stripe_points_in_space(observations, camera, poses, i)
         if len(np.unique(view)) < FEWEST_STRIPES:
             which = f'laser "{name}": ' if name else ""
             raise InputError(
                 f"{which}the stripe lies on the board in {len(np.unique(view))} views; at least {FEWEST_STRIPES} are "
                 "needed: check [laser] color and columns, and that the stripe crosses the board"
             )
-        lights.append(LIGHTS[kind].fitted(points, view, name))
+        light = LIGHTS[kind]
+        if moves(light):
+            lights.append(light.fitted(points, view, name, positions, observations.light_axes[name]))
+        else:
+            lights.append(light.fitted(points, view, name))
     return tuple(lights)
 
 

@@ -12,7 +12,7 @@ from jaxscan.calibration.observations import Observations
 from jaxscan.calibration.on_board import stripe_points_in_space
 from jaxscan.geometry import Pose
 from jaxscan.rig import Rig
-from jaxscan.rig.light import sheet_axes
+from jaxscan.rig.light import sheet_axes, stood
 
 # The image is divided into this number of columns and rows of cells.
 CELLS = (8, 6)
@@ -120,10 +120,11 @@ def measure_coverage(observations: Observations, rig: Rig, poses: Pose[np.ndarra
 
 
 def _stripes(observations: Observations, rig: Rig, poses: Pose[np.ndarray], laser: int) -> StripeCoverage:
-    X, view = stripe_points_in_space(observations, rig.camera, poses, laser)
+    X, view, positions = stripe_points_in_space(observations, rig.camera, poses, laser)
     light, ranges = rig.lights[laser], rig.camera.chart.range_of(X)
     if not len(X):
         return StripeCoverage(light.name, 0, 0, (np.nan, np.nan), 0.0, 0.0)
+    light = stood(light, float(np.median(positions)))
     return StripeCoverage(
         laser=light.name,
         views=len(np.unique(view)),

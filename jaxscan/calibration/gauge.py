@@ -43,6 +43,7 @@ from jaxscan.files.rig_file import RigFile
 from jaxscan.geometry import Pose
 from jaxscan.precision import as_float64, as_numpy, float64
 from jaxscan.rig import Covariance, Rig, System
+from jaxscan.rig.light import light_axes
 from jaxscan.rig.line import Line
 from jaxscan.rig.rig import held_jacobian, idle_ways, parameter_names, with_normal_numbers
 from jaxscan.robust import NORMAL_MAD
@@ -183,6 +184,11 @@ def refine_by_gauge(
     """
     if unknown := set(trust) - _CORRECTED:
         raise InputError(f'trust names {", ".join(sorted(unknown))}: a gauge corrects "laser" and "stage"')
+    if moved := light_axes(known.rig.lights):
+        raise InputError(
+            f"the light of this rig is moved by {', '.join(moved)}: a gauge corrects lights that stand "
+            "still; calibrate again with boards"
+        )
     with float64():
         boards = _boards(known, gauges, _CORRECTED - set(trust))
         rig = boards.system.rig

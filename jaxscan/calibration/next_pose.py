@@ -33,8 +33,9 @@ from jaxscan.calibration.result import Calibration
 from jaxscan.errors import InputError
 from jaxscan.geometry import Pose
 from jaxscan.precision import as_float64, as_jax, float64
-from jaxscan.rig import BoardShape, Covariance, Light, Rig, System
+from jaxscan.rig import BoardShape, Covariance, Light, MovingLight, Rig, System
 from jaxscan.rig.board_shape import BENDS
+from jaxscan.rig.light import light_axes, stood
 from jaxscan.rig.rig import parameter_names
 
 # Number of generations, and of poses in each. Always the same number, so that nothing is compiled again.
@@ -56,7 +57,8 @@ class NextPose:
         tilt_deg: of the board out of the plane at right angles to the line of sight: by how much its right side, and
             its lower side, is nearer than the other.
         outline_px: where the corners of the printed pattern are seen, in turn: first points, end of the first row, …
-        stripes_px: for each laser, where its stripe crosses the pattern; NaN where it does not.
+        stripes_px: for each laser, where its stripe crosses the pattern; NaN where it does not. Of a light that moves
+            there are three, at the ends of its sweep and in the middle.
         covariance: predicted of the rig's parameters, with this photograph and those before it.
     """
 
@@ -64,7 +66,7 @@ class NextPose:
     distance_mm: float
     tilt_deg: Float[np.ndarray, "2"]
     outline_px: Float[np.ndarray, "4 2"]
-    stripes_px: Float[np.ndarray, "lasers parts 2"]
+    stripes_px: Float[np.ndarray, "stripes parts 2"]
     covariance: Covariance
 
 
@@ -78,7 +80,9 @@ class Scene(eqx.Module):
         noise: σ of a corner, of a stripe point times √τ, and of the additional bulges of each photograph.
         points: of the board, mm.
         outline: corners of the printed pattern, mm.
-        columns: for each laser, whether its stripe is found column by column.
+        columns: for each stripe, whether it is found column by column.
+        lasers: which light each stripe is of: one that moves has several.
+        at: motor steps of the axis that moves that light, where one does.
     """
 
     rig: Rig
@@ -87,7 +91,9 @@ class Scene(eqx.Module):
     noise: Noise
     points: Float[Array, "points 3"]
     outline: Float[Array, "4 3"]
-    columns: Bool[Array, "lasers"]
+    columns: Bool[Array, "stripes"]
+    at: Float[Array, "stripes"]
+    lasers: tuple[int, ...] = eqx.field(static=True)
 
     def information(self, pose: Float[Array, "6"]) -> Float[Array, "leaves leaves"]:
         """I(p) = U − W V⁻¹ Wᵀ: the information of a photograph of the board at a pose on the rig's leaves."""
@@ -117,11 +123,12 @@ class Scene(eqx.Module):
             stripe_weights=weights.reshape(1, -1),
             stripe_used=weights.reshape(1, -1) > 0,
             stripe_columns=jnp.repeat(self.columns, _STRIPE_PARTS)[None],
-            stripe_light=jnp.repeat(jnp.arange(len(self.columns)), _STRIPE_PARTS)[None],
+            stripe_light=jnp.repeat(jnp.asarray(self.lasers, int), _STRIPE_PARTS)[None],
+            stripe_at=jnp.repeat(self.at, _STRIPE_PARTS)[None] if light_axes(self.rig.lights) else None,
         )
 
-    def stripes(self, pose: Float[Array, "6"]) -> tuple[Float[Array, "lasers parts 2"], Float[Array, "lasers parts"]]:
-        """The stripe of each laser across the pattern, in equal parts: middle pixel, √ of its columns (or rows).
+    def stripes(self, pose: Float[Array, "6"]) -> tuple[Float[Array, "stripes parts 2"], Float[Array, "stripes parts"]]:
+        """Each stripe across the pattern, in equal parts: middle pixel, √ of its columns (or rows).
 
         The line in which the sheet's level vanishes on the board, as it runs at the board's middle: a · (x, y) = c with
         a the level's gradient there. Weights are zero where it misses the pattern.
@@ -149,7 +156,7 @@ class Scene(eqx.Module):
 
         if not self.rig.lights:
             return jnp.zeros((0, _STRIPE_PARTS, 2)), jnp.zeros((0, _STRIPE_PARTS))
-        parts = [each(light, self.columns[i]) for i, light in enumerate(self.rig.lights)]
+        parts = [each(stood(self.rig.lights[i], self.at[k]), self.columns[k]) for k, i in enumerate(self.lasers)]
         return jnp.stack([pixels for pixels, _ in parts]), jnp.stack([weights for _, weights in parts])
 
 
@@ -336,10 +343,14 @@ def _shown(scene: Scene, pose: Float[Array, "6"]) -> tuple[Array, Array, Array, 
 def _scene(calibration: Calibration) -> Scene:
     """The scene of a calibration; inside a `float64` block."""
     observations, rig = calibration.observations, calibration.rig
-    columns = [
-        next((s.columns for view in observations.photographs() for s in view.stripes if s.laser == i), True)
-        for i in range(len(rig.lights))
-    ]
+    lasers, columns, at = [], [], []
+    for i, light in enumerate(rig.lights):
+        seen = [stripe for view in observations.photographs() for stripe in view.stripes if stripe.laser == i]
+        positions = np.array([stripe.position for stripe in seen] or [0.0])
+        places = np.quantile(positions, (0.0, 0.5, 1.0)) if isinstance(light, MovingLight) else positions[:1]
+        lasers += [i] * len(places)
+        columns += [seen[0].columns if seen else True] * len(places)
+        at += places.tolist()
     # A part of a session may have no views.
     fits = calibration.fits or calibration.moved_fits
     corner = _usual([fit.corner_sigmas[fit.corner_kept] for fit in fits])
@@ -353,6 +364,8 @@ def _scene(calibration: Calibration) -> Scene:
         points=jnp.asarray(observations.board.points()),
         outline=jnp.asarray(outline_of(observations.board)),
         columns=jnp.asarray(columns, bool),
+        at=jnp.asarray(at, float),
+        lasers=tuple(lasers),
     )
 
 

@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from jaxscan.calibration.coverage import Coverage
 from jaxscan.calibration.uncertainty import UNDETERMINED
-from jaxscan.rig import Light
+from jaxscan.rig import Light, SweptSheet
 from jaxscan.rig.camera import lens_numbers
 from jaxscan.rig.light import inverse_depths
 from jaxscan.rig.rig import is_place, is_stage_shape
@@ -113,6 +113,7 @@ def undetermined_shape(
     covariance: Float[np.ndarray, "n n"],
     rays: Float[np.ndarray, "rays 3"],
     noise_px: float,
+    positions: Float[np.ndarray, "positions"] | None = None,
 ) -> OpenQuestion | None:
     """What is open of a light that is no plane: where its depth, over the nearer half of the image, is not measured.
 
@@ -122,10 +123,14 @@ def undetermined_shape(
         covariance: of these.
         rays: of the whole image.
         noise_px: as for `undetermined`.
+        positions: of the axis that moves it, motor steps, at which it was seen; None where none does.
     """
     if not any(map(_is_shape, names)):
         return None
-    w, _, J = inverse_depths(light, rays[np.isfinite(rays).all(axis=1)])
+    rays = rays[np.isfinite(rays).all(axis=1)]
+    w, _, J = inverse_depths(light, rays, None if positions is None else np.resize(positions, len(rays)))
+    numbers = [f"{name}.{i}" for name, count in light.numbers.items() for i in range(count)]
+    J = J[:, [numbers.index(name.split(".", 2)[2]) for name in names]]
     seen = w > 0
     near = seen & (w >= np.median(w[seen])) if seen.any() else seen
     relative = np.sqrt(np.einsum("ri,ij,rj->r", J[near], covariance, J[near])) / w[near] / max(noise_px, 1.0)
@@ -151,6 +156,12 @@ def cause_and_fix(question: OpenQuestion, coverage: Coverage, corner_px: float) 
     if name.startswith("lights"):
         stripes = coverage.stripes[int(name.split(".")[1])]
         near, far = stripes.depths_mm
+        if _is_shape(name) and name.rsplit(".", 2)[1] in SweptSheet.numbers:
+            return (
+                f"the stripes on the boards of {stripes.views} views are {near:.1f} to {far:.1f} mm from the camera. "
+                "Photograph each board with the light at more positions, over its whole sweep, and hold the boards at "
+                "distances that differ by a third and more"
+            )
         if _is_shape(name):
             return (
                 f"the stripes on the boards of {stripes.views} views are {stripes.along_mm:.0f} mm long in all, "
@@ -212,7 +223,14 @@ def _is_shape(name: str) -> bool:
 
 def _words(name: str) -> str:
     if name.startswith("lights."):
-        return f"the {name.split('.')[2]} of the sheet of light" if _is_shape(name) else "the light plane"
+        if _is_shape(name):
+            number = name.split(".")[2]
+            return (
+                "how the sheet of light turns"
+                if number in SweptSheet.numbers
+                else f"the {number} of the sheet of light"
+            )
+        return "the light plane"
     if name.startswith("motion."):
         return f"the motion of the {name.split('.')[1]}"
     if numbers := lens_numbers(name):

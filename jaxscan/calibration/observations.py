@@ -35,6 +35,7 @@ class StripePoints:
         light: read noise, gain, speckle contrast and saturation of the photograph, where there was a detector.
         widths: full width of the stripe at half its height at each, px, where there was a detector.
         black: which part of the pixels beside it is 0.
+        position: motor steps of the axis that moves the laser's light, where one does.
     """
 
     pixels: Float[np.ndarray, "points 2"]
@@ -47,6 +48,7 @@ class StripePoints:
     light: Float[np.ndarray, "4"] | None = None
     widths: Float[np.ndarray, "points"] | None = None
     black: float = 0.0
+    position: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -216,6 +218,7 @@ class Observations:
         notes: what a reader should know of the photographs: ambiguities, guesses.
         radius_mm: of a board's circles, whose centres of gravity `corners` are; 0 for points.
         hand: what is known of what carries head or object, where views have given poses.
+        light_axes: of each laser whose light is moved, by its name, the axis that moves it.
     """
 
     image_size: tuple[int, int]
@@ -227,6 +230,7 @@ class Observations:
     notes: tuple[str, ...] = field(default=())
     radius_mm: float = 0.0
     hand: HandSettings | None = None
+    light_axes: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Refuse arrays that do not fit together."""
@@ -375,6 +379,11 @@ def join(names: Sequence[str], each: Sequence[Observations]) -> Observations:
             raise InputError(
                 f"{name} has the lasers {list(other.lasers)}, {names[0]} has {list(first.lasers)}: give both the same "
                 "[laser] tables, or calibrate them apart"
+            )
+        if other.light_axes != first.light_axes:
+            raise InputError(
+                f"{name} has lights that are moved by {list(other.light_axes.values())}, {names[0]} by "
+                f"{list(first.light_axes.values())}: give both the same [laser] tables, or calibrate them apart"
             )
         if None not in (other.hand, first.hand) and other.hand != first.hand:
             raise InputError(

@@ -8,11 +8,13 @@ from typing import Any
 
 import numpy as np
 
+from jaxscan.calibration.board_band import board_band
 from jaxscan.calibration.observations import BoardSequence, HandSettings, Observations, StripePoints, View
 from jaxscan.deadline import Workers, result_of
 from jaxscan.detectors import DEFAULT, Detector, check_detector
 from jaxscan.errors import InputError, error_context
 from jaxscan.files.session import Session, StageImages, TurntableImages
+from jaxscan.files.session_sweeps import Sweep
 from jaxscan.files.settings import relative_name
 from jaxscan.geometry import Pose
 from jaxscan.images import (
@@ -34,6 +36,7 @@ from jaxscan.images.light import no_bell
 from jaxscan.images.stripes.brightest import brighter_color, miscoloured
 from jaxscan.images.stripes.colourless import check_colours
 from jaxscan.images.stripes.other_colour import colour_that_shows
+from jaxscan.images.stripes.settle import Band
 from jaxscan.rig.stripe_way import STEEP, across_note
 
 # The stripe's centre is taken from what exceeds half its height; the lens smears the edge of a square by this (px).
@@ -78,22 +81,23 @@ def observe(
     """
     check_detector(detector)
     for laser in session.lasers:
-        lit = [path for path in _lit(session, laser) if path is not None]
+        lit = _lit(session, laser)
         if lit:
             check_colours(map(read_image, lit[:_TRIED]), laser.color, lit[0])
 
     hot = _hot_pixels(session)
 
     def view(index: int) -> _Photograph:
-        path, stripes = session.views.boards[index], session.views.stripes
-        lit = [path if stripes is None else stripes[laser.name][index] for laser in session.lasers]
+        path = session.views.boards[index]
+        lit = [session.views.lit(laser.name, index) for laser in session.lasers]
         return _Photograph(_name(session, path), *_look(path, session, lit, detector, hot))
 
     def along(sequence: StageImages, index: int) -> _Photograph:
         path = sequence.images[index]
-        lit = [
+        own = [
             sequence.stripes[laser.name][index] if laser.name in sequence.stripes else None for laser in session.lasers
         ]
+        lit = [() if lit is None else ((0, lit),) for lit in own]
         return _Photograph(_name(session, path), *_look(path, session, lit, detector, hot))
 
     def looked_at(look: Callable[[Any], _Photograph], paths: Sequence[Path], each: Iterable[Any]) -> list[_Photograph]:
@@ -122,7 +126,9 @@ def observe(
     for seen in (*views, *(_view(p, p.found, usual) for p in staged if p.found is not None)):
         for stripe in seen.stripes:
             if not np.isfinite(stripe.pixels).any():
-                left_out.append(f"{seen.name}: no {_stripe_of(session.lasers[stripe.laser])} was found")
+                laser = session.lasers[stripe.laser]
+                at = f" at step {stripe.position:g}" if laser.name in session.light_axes else ""
+                left_out.append(f"{seen.name}: no {_stripe_of(laser)} was found{at}")
     notes = []
     twice = [p.name for p in (*photographs, *staged) if p.second_board]
     if twice:
@@ -151,6 +157,7 @@ def observe(
         notes=tuple(notes),
         radius_mm=_radius(session.board, [p.found for p in (*photographs, *staged) if p.found is not None]),
         hand=_hand(session),
+        light_axes=dict(session.light_axes),
     )
 
 
@@ -162,7 +169,8 @@ def _hand(session: Session) -> HandSettings | None:
 def unseen(session: Session) -> Observations:
     """What `observe` returns, before any photograph is looked at: whether sessions go together is known from it."""
     lasers = tuple(laser.name for laser in session.lasers)
-    return Observations(session.image_size, session.board, (), lasers=lasers, hand=_hand(session))
+    axes = dict(session.light_axes)
+    return Observations(session.image_size, session.board, (), lasers=lasers, hand=_hand(session), light_axes=axes)
 
 
 def photograph_count(session: Session) -> int:
@@ -219,8 +227,8 @@ def _in_another_colour(session: Session, photographs: Sequence[_Photograph], vie
         own = [stripe for view in views for stripe in view.stripes if stripe.laser == i]
         if not own or any(np.isfinite(stripe.pixels).any() for stripe in own):
             continue
-        lit = zip(_lit(session, laser), photographs, strict=True)
-        with_board = [path for path, seen in lit if seen.found is not None and path]
+        found = [i for i, seen in enumerate(photographs) if seen.found is not None]
+        with_board = [path for i in found for _, path in session.views.lit(laser.name, i)]
         shown = colour_that_shows(map(read_image, with_board[:_TRIED]), laser)
         if shown is not None:
             notes.append(
@@ -263,9 +271,10 @@ def _once(
     return once, repeated
 
 
-def _lit(session: Session, laser: StripeSettings) -> Sequence[Path | None]:
-    """For each view the photograph in which a laser is on."""
-    return session.views.boards if session.views.stripes is None else session.views.stripes[laser.name]
+def _lit(session: Session, laser: StripeSettings) -> list[Path]:
+    """The photographs of the views in which a laser is on."""
+    views = session.views
+    return [path for i in range(len(views.boards)) for _, path in views.lit(laser.name, i)]
 
 
 def _usual_sigma(found: Sequence[BoardView]) -> float:
@@ -283,9 +292,9 @@ def _radius(board: Board, found: Sequence[BoardView]) -> float:
 
 
 def _look(
-    path: Path, session: Session, lit: Sequence[Path | None], detector: Detector, hot: HotPixels
+    path: Path, session: Session, lit: Sequence[Sweep], detector: Detector, hot: HotPixels
 ) -> tuple[BoardView | None, tuple[StripePoints, ...], bool]:
-    """Corners and stripes of one pose, of each laser from the photograph in which it is on; is there a second board?"""
+    """Corners and stripes of one pose, of each laser from photographs in which it is on; is there a second board?"""
 
     def read(path: Path) -> Image:
         image = read_image(path)
@@ -298,9 +307,11 @@ def _look(
         return None, (), False
     stripes = []
     for i, (laser, own) in enumerate(zip(session.lasers, lit, strict=True)):
-        if own is not None:
-            with error_context(path):
-                stripes.append(stripe_points(image if own == path else read(own), laser, i, detector))
+        band = board_band(session.board, found.corners, image.shape[1::-1], columns=laser.columns) if own else None
+        for position, photograph in own:
+            with error_context(photograph):
+                seen = stripe_points(image if photograph == path else read(photograph), laser, i, detector, band)
+                stripes.append(replace(seen, position=float(position)))
     return found, tuple(stripes), _second(session.board, image, found)
 
 
@@ -323,10 +334,10 @@ def _second(board: Board, image: np.ndarray, found: BoardView | None) -> bool:
 
 
 def stripe_points(
-    image: np.ndarray, settings: StripeSettings, laser: int, detector: Detector = DEFAULT
+    image: np.ndarray, settings: StripeSettings, laser: int, detector: Detector = DEFAULT, band: Band | None = None
 ) -> StripePoints:
-    """The stripe of one photograph as pixels (u, v); NaN where there is none."""
-    stripe = detect_stripe(image, settings, detector=detector)
+    """The stripe of one photograph as pixels (u, v); NaN where there is none, and beyond the band where it can be."""
+    stripe = detect_stripe(image, settings, detector=detector, band=band)
     position = stripe.position.astype(np.float64).ravel()
     index = np.where(np.isfinite(position), np.arange(position.size), np.nan)
     pixels = np.stack([index, position] if settings.columns else [position, index], axis=-1)
@@ -398,9 +409,10 @@ def _mistaken(session: Session) -> str | None:
             f"{first} shows one of {columns - 1} x {rows - 1}. Inner corners are where four squares meet, one fewer "
             f"than the squares in a row: inner_corners = [{columns - 1}, {rows - 1}]"
         )
-    for own in (session.views.stripes or {}).values():
-        if own[0] is not None and shows_checkerboard((columns, rows), read_image(own[0])):
-            return f"it is in {own[0]}, a photograph of the stripe: exchange boards and stripes"
+    for laser in session.lasers:
+        for _, lit in session.views.lit(laser.name, 0)[:1]:
+            if lit != first and shows_checkerboard((columns, rows), read_image(lit)):
+                return f"it is in {lit}, a photograph of the stripe: exchange boards and stripes"
     return None
 
 

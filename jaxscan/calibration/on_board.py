@@ -61,8 +61,10 @@ def stripe_points_in_space(
     poses: Pose[np.ndarray],
     laser: int,
     bent: Sequence[BentBoard] | None = None,
-) -> tuple[Float[np.ndarray, "points 3"], Int[np.ndarray, "points"]]:
-    """Where the stripes of one laser lie in the camera frame (mm), by their boards, and the photograph of each.
+) -> tuple[Float[np.ndarray, "points 3"], Int[np.ndarray, "points"], Float[np.ndarray, "points"]]:
+    """Where the stripes of one laser lie in the camera frame (mm), by their boards.
+
+    With the photograph of each point, and the position of the axis that moves the light, motor steps.
 
     Args:
         observations: the photographs.
@@ -71,7 +73,7 @@ def stripe_points_in_space(
         laser: which of the observations' lasers.
         bent: the board of each photograph, where it is not flat.
     """
-    points, photograph = [np.zeros((0, 3))], [np.zeros(0, int)]
+    points, photograph, position = [np.zeros((0, 3))], [np.zeros(0, int)], [np.zeros(0)]
     for i, each in enumerate(observations.photographs()):
         for stripe in each.stripes:
             if stripe.laser == laser:
@@ -79,7 +81,8 @@ def stripe_points_in_space(
                 X = X[np.isfinite(X).all(axis=1)]
                 points.append(X)
                 photograph.append(np.full(len(X), i))
-    return np.concatenate(points), np.concatenate(photograph)
+                position.append(np.full(len(X), stripe.position))
+    return np.concatenate(points), np.concatenate(photograph), np.concatenate(position)
 
 
 def pose_of(poses: Pose[np.ndarray], i: int) -> Pose[np.ndarray]:

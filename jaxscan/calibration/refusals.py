@@ -22,7 +22,7 @@ from jaxscan.calibration.rounds import Refined
 from jaxscan.calibration.stage_order import stage_orders
 from jaxscan.errors import InputError, ObservabilityError, SolveError
 from jaxscan.files.rig_checks import image_rays
-from jaxscan.rig import MOTIONS, BowedSheet, Camera, LightPlane, Rig
+from jaxscan.rig import MOTIONS, BowedSheet, Camera, LightPlane, MovingLight, Rig
 from jaxscan.rig.board_shape import FEWEST_VIEWS_FOR, bent_by, half_diagonal_of
 from jaxscan.rig.fisheye import Fisheye
 from jaxscan.rig.opencv_lens import LADDER
@@ -203,6 +203,12 @@ def check_places(axis: str, kind: str, places: int) -> None:
         )
 
 
+def _positions(observations: Observations, laser: int) -> Float[np.ndarray, "positions"]:
+    """The positions of what moves a light at which its stripes were seen, motor steps, each once."""
+    seen = [s.position for view in observations.photographs() for s in view.stripes if s.laser == laser]
+    return np.unique(np.array(seen, np.float64))
+
+
 def check_bows(observations: Observations, camera: Camera, kinds: Sequence[str]) -> None:
     """Refuse stripes beside the camera and behind it where a sheet is to be bowed.
 
@@ -254,7 +260,10 @@ def check_solved(refined: Refined, observations: Observations, free: Bool[Array,
             if own and open_question is None:
                 covariance = spread[np.ix_(own, own)]
                 rays = image_rays(rig.camera)
-                open_question = undetermined_shape(light, names[at][own].tolist(), covariance, rays, noise_px)
+                positions = _positions(observations, i) if isinstance(light, MovingLight) else None
+                open_question = undetermined_shape(
+                    light, names[at][own].tolist(), covariance, rays, noise_px, positions
+                )
     if open_question:
         with_rig = rig if any(name.startswith("lights") for name in names[at]) else Rig(rig.camera)
         coverage = measure_coverage(

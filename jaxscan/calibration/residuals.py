@@ -22,8 +22,9 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxscan.calibration.lens_field import FieldPrior
 from jaxscan.geometry import Pose, dual_plane_of
 from jaxscan.precision import as_jax
-from jaxscan.rig import Light, System
+from jaxscan.rig import Light, MovingLight, System
 from jaxscan.rig.board_shape import BentBoard, BoardShape, middle_and_half
+from jaxscan.rig.light import stood
 from jaxscan.rig.motion import carried
 
 # R and t (mm) of a board in each of its photographs.
@@ -51,6 +52,7 @@ class Blocks(eqx.Module):
         stripe_used: which of them take part.
         stripe_columns: True where v was measured, False where u was.
         stripe_light: which light each belongs to.
+        stripe_at: motor steps of the axis that moves that light; None where no light moves.
         radius: of the circles about the points, mm; None where points are seen.
         before: whether all photographs of a block were taken before something was changed (`System.earlier`); None
             where the rig is one.
@@ -67,6 +69,7 @@ class Blocks(eqx.Module):
     stripe_used: Bool[Array, "*blocks photographs stripe"]
     stripe_columns: Bool[Array, "*blocks photographs stripe"]
     stripe_light: Int[Array, "*blocks photographs stripe"]
+    stripe_at: Float[Array, "*blocks photographs stripe"] | None = None
     radius: Float[Array, "*blocks corners"] | None = None
     before: Bool[Array, "*blocks"] | None = None
 
@@ -250,7 +253,12 @@ def stripe_errors(
     x, dx = jax.vmap(jax.vmap(rig.camera.ray_and_change))(pixel, axis)
 
     def errors(light: Light) -> Float[Array, "photographs stripe"]:
-        return jax.vmap(jax.vmap(partial(stripe_error, light), in_axes=(None, 0, 0)))(board, x, dx)
+        def error(board: Array | BentBoard, x: Array, dx: Array, at: Array | None) -> Array:
+            return stripe_error(light if at is None else stood(light, at), board, x, dx)
+
+        moves = block.stripe_at if isinstance(light, MovingLight) else None
+        of_photograph = jax.vmap(error, in_axes=(None, 0, 0, None if moves is None else 0))
+        return jax.vmap(of_photograph, in_axes=(0, 0, 0, None if moves is None else 0))(board, x, dx, moves)
 
     found = errors(rig.lights[0])
     for i, light in enumerate(rig.lights[1:], 1):

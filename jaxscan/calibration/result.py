@@ -28,7 +28,7 @@ from jaxscan.geometry import Pose
 from jaxscan.precision import as_numpy
 from jaxscan.rig import Covariance, Motion, Positions, Rig, System
 from jaxscan.rig.board_shape import BOARD_SHAPES, BentBoard, bent_by, middle_and_half
-from jaxscan.rig.light import distance
+from jaxscan.rig.light import distance, stood
 from jaxscan.rig.rig import parameter_names, with_normal_numbers
 from jaxscan.robust import NORMAL_MAD
 
@@ -171,6 +171,8 @@ class Calibration:
             fit |= self.hand.facts()
         if (depths := self._stripe_depths()) is not None:
             fit["stripe_depths_mm"] = depths
+        if swept := self._swept_over():
+            fit["light_positions"] = swept
         if any(thickness := self.sheet_sigmas_mm()):
             fit["sheet_sigma_mm"] = thickness
         if self.stripe_sigma_ratio is not None:
@@ -210,12 +212,16 @@ class Calibration:
         worst = int(np.argmax(in_sigma))
         return names[worst], float(in_sigma[worst])
 
-    def stripe_points(self, laser: int) -> Float[np.ndarray, "points 3"]:
-        """Where a laser's stripes lie on the boards, camera frame, mm; without those that are far from its light."""
+    def stripe_points(self, laser: int) -> tuple[Float[np.ndarray, "points 3"], Float[np.ndarray, "points"]]:
+        """Where a laser's stripes lie on the boards, camera frame, mm; without those that are far from its light.
+
+        With the position of the axis that moves the light, motor steps, 0 where none does.
+        """
         poses, bent = self.photograph_poses(), self.bent_boards()
-        X, _ = stripe_points_in_space(self.observations, self.rig.camera, poses, laser, bent)
-        off = np.abs(distance(self.rig.lights[laser], X))
-        return X[off <= _FAR_OFF * NORMAL_MAD * np.median(off)] if len(X) else X
+        X, _, positions = stripe_points_in_space(self.observations, self.rig.camera, poses, laser, bent)
+        off = np.abs(distance(stood(self.rig.lights[laser], positions), X))
+        near = off <= _FAR_OFF * NORMAL_MAD * np.median(off) if len(X) else np.zeros(0, bool)
+        return X[near], positions[near]
 
     def photograph_poses(self) -> Pose[np.ndarray]:
         """T_cam_board of every photograph, in the order of `Observations.photographs`."""
@@ -270,10 +276,19 @@ class Calibration:
         lights = range(len(self.rig.lights))
         return [sheet_sigma_mm(self.observations, self.rig, poses, laser, bent) or 0.0 for laser in lights]
 
+    def _swept_over(self) -> dict[str, list[float]]:
+        """The least and the greatest position at which the stripes of lights that move were seen, by their axes."""
+        found: dict[str, list[float]] = {}
+        for i, name in enumerate(self.observations.lasers):
+            if (axis := self.observations.light_axes.get(name)) is not None:
+                _, positions = self.stripe_points(i)
+                found[axis] = [float(f(positions.tolist() + found.get(axis, []))) for f in (min, max)]
+        return found
+
     def _stripe_depths(self) -> list[float] | None:
         """The nearest and the farthest depth of a stripe on a board, mm: along the optical axis, or as its rays go."""
         range_of = self.rig.camera.chart.range_of
-        seen = [range_of(self.stripe_points(i)) for i in range(len(self.rig.lights))]
+        seen = [range_of(self.stripe_points(i)[0]) for i in range(len(self.rig.lights))]
         depths = np.concatenate(seen) if seen else np.empty(0)
         return [round(float(depths.min()), 1), round(float(depths.max()), 1)] if depths.size else None
 

@@ -22,7 +22,7 @@ from jaxscan.geometry import Pose
 from jaxscan.images.stripes.likelihood import FWHM
 from jaxscan.rig import Rig
 from jaxscan.rig.board_shape import BentBoard
-from jaxscan.rig.light import distance
+from jaxscan.rig.light import distance, stood
 from jaxscan.robust import NORMAL_MAD
 
 # Stripes with fewer points than this say little, and with fewer stripes than that nothing is said.
@@ -55,7 +55,8 @@ def sheet_sigma_mm(
             half = np.array([0.0, 0.5] if stripe.columns else [0.5, 0.0])
             board = None if bent is None else bent[i]
             ends = [meet_board(rig.camera, pose_of(poses, i), stripe.pixels + by, board)[0] for by in (-half, half)]
-            off = [distance(rig.lights[laser], X) for X in ends]
+            light = stood(rig.lights[laser], stripe.position)
+            off = [distance(light, X) for X in ends]
             with np.errstate(divide="ignore", invalid="ignore"):
                 spread = 1 / np.abs(off[1] - off[0])
             known = np.isfinite(spread) & np.isfinite(stripe.widths)

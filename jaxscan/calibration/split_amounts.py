@@ -72,12 +72,12 @@ def _measures(whole: Calibration, part: Part, names: Sequence[str]) -> list[tupl
             (lambda a, b: float(b.camera.principal[1]) - float(a.camera.principal[1]), "px", "by {} down"),
         ]
     if part.kind == "light":
-        X, light = whole.stripe_points(part.which), whole.rig.lights[part.which]
+        points, light = whole.stripe_points(part.which), whole.rig.lights[part.which]
         base = np.asarray(ravel_pytree(as_numpy(light))[0])
 
         def pushed(a: Rig, b: Rig) -> tuple[float, float]:
             was, now = (np.asarray(ravel_pytree(as_numpy(rig.lights[part.which]))[0]) - base for rig in (a, b))
-            return turned_and_moved(light, was, now, X)
+            return turned_and_moved(light, was, now, *points)
 
         return [
             (lambda a, b: pushed(a, b)[0], "°", "turned by {}"),

@@ -70,7 +70,19 @@ class Estimate:
     def sheets(self, session: "Session") -> tuple[str, ...]:
         """The kind of each laser's sheet."""
         own = session.sheets or (PLANE,) * len(session.lasers)
-        return (self.sheet,) * len(own) if self.sheet else own
+        if not self.sheet:
+            return own
+        from jaxscan.rig import LIGHTS
+        from jaxscan.rig.light import moves
+
+        for laser in session.lasers:
+            if moves(LIGHTS[self.sheet]) != (laser.name in session.light_axes):
+                what = "moves" if laser.name in session.light_axes else "stands still"
+                raise InputError(
+                    f"--sheet {self.sheet}: the light of {session.path} {what}: change sheet under [laser] there, "
+                    "with stripe_steps where it moves"
+                )
+        return (self.sheet,) * len(own)
 
     def check_named(self, names: list[str]) -> None:
         """Whether --since and --split name photographs, before any is looked at.

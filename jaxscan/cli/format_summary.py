@@ -122,6 +122,13 @@ def _rig(summary: Summary) -> Iterator[Line]:
             f"ω = {_values(light['plane'], '1/mm')}" if "plane" in light else "",
         )
         yield "", f"{light['distance_mm']:.1f} mm from the camera, {light['angle_to_axis_deg']:.1f}° to its axis"
+        if "degrees_per_1000_steps" in light:
+            about = ", ".join(f"{x:.3f}" for x in light["about"])
+            yield (
+                "",
+                f"there at step {light['middle_steps']:g} of the {light['axis']}, which turns it by "
+                f"{light['degrees_per_1000_steps']:.4g}° in 1000 steps about ({about})",
+            )
         if "curved_mm" in light:
             error = "" if light["curved_mm_sigma"] is None else f" ± {light['curved_mm_sigma']:.2g}"
             yield "", f"curved by {light['curved_mm']:.3f}{error} mm over 200 mm in the middle of the image"

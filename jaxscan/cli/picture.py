@@ -98,10 +98,10 @@ def _frame(scan: Scan, index: int) -> tuple[Image, Image | None]:
 
 def _lit(session: Session, laser: StripeSettings, index: int, photograph: Image) -> Image | None:
     """The photograph of a view in which a laser's stripe is looked for; None where there is none."""
-    if session.views.stripes is None:
-        return photograph
-    path = session.views.stripes[laser.name][index]
-    return None if path is None else read_image(path)
+    lit = session.views.lit(laser.name, index)
+    # Of a light that moves, where it stands in the middle.
+    path = lit[len(lit) // 2][1] if lit else None
+    return None if path is None else photograph if path == session.views.boards[index] else read_image(path)
 
 
 def _stripe(

@@ -195,6 +195,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "from side to side and scan along the stage",
     )
     parser.add_argument(
+        "--swept",
+        action="store_true",
+        help="let the light turn in place of the stage: it sweeps over object and boards, which stand still",
+    )
+    parser.add_argument(
         "--robot",
         choices=("head", "object"),
         help="let a robot move camera and laser, or the object, in place of the stage; it gives a pose for each "
@@ -249,6 +254,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     if args.screw_steps <= 0:
         raise InputError(f"--screw-steps {args.screw_steps:g}: give the steps of one turn, above 0")
     _check_robot(args)
+    _check_swept(args)
     if (warning := _sliding(args)) is not None:
         from jaxscan.cli.progress import say
 
@@ -290,6 +296,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         turntable=args.turntable,
         separate_stripes=args.stripes,
         robot=Robot(args.robot, args.pose_mm, args.pose_deg) if args.robot else None,
+        swept=args.swept,
         ending=".jpg" if args.jpeg or args.quality is not None else ".png",
         quality=args.quality or JPEG_QUALITY,
     )
@@ -298,7 +305,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         "path": str(args.out),
         "seed": args.seed,
         "object": name,
-        "photographs": len(session.boards.rotation) * _each_pose(args.lasers, args.stripes)
+        "photographs": len(session.boards.rotation) * _each_pose(args.lasers, args.stripes, swept=args.swept)
         + len(session.stage_steps)
         + len(session.turntable_steps)
         + sum(len(scan.position) for scan in scans),
@@ -328,6 +335,7 @@ def simulate_into(
     turntable: bool = False,
     separate_stripes: bool = False,
     robot: "Robot | None" = None,
+    swept: bool = False,
     ending: str = ".png",
     quality: int | None = None,
 ) -> "tuple[Scene, SessionTruth, tuple[ScanTruth, ...]]":
@@ -337,7 +345,8 @@ def simulate_into(
     turntable a scan of one side goes once all around.
     There is a progress bar. The scene is that of the first side. `light` changes the lighting of the rig of 2003; with
     a highlight the bodies are glossy, and the lamp stands where they mirror it. `stage` has the arguments of
-    `rig_2003.with_stage`. A robot takes the place of the stage.
+    `rig_2003.with_stage`. A robot takes the place of the stage, and so
+    does a light that is swept.
     """
     from jaxscan.cli.compiled import keep_compiled
 
@@ -375,6 +384,8 @@ def simulate_into(
     }
     if robot is not None:
         return _with_robot(out, seed, rig, robot, scenes[0], name, apart, light, common)
+    if swept:
+        return _with_sweep(out, seed, rig, scenes[0], name, frames, light, common)
     boards = rig_2003.BOARD_VIEWS * _each_pose(lasers, separate_stripes) + turntable * rig_2003.TURNTABLE_VIEWS
     with (
         replacing_folders(out) as folder,
@@ -456,8 +467,50 @@ def _with_robot(
     return scene, session, (scan,)
 
 
-def _each_pose(lasers: int, separate_stripes: bool) -> int:
+def _with_sweep(
+    out: Path,
+    seed: int,
+    rig: "Rig",
+    scene: "Scene",
+    name: str,
+    frames: int,
+    light: Mapping[str, Any],
+    common: Mapping[str, Any],
+) -> "tuple[Scene, SessionTruth, tuple[ScanTruth, ...]]":
+    """As `simulate_into`, with a light that sweeps over the object in place of the stage."""
+    from jaxscan.atomic import replacing_folders
+    from jaxscan.cli.progress import progress
+    from jaxscan.files.session_sweeps import AXIS
+    from jaxscan.simulation import folders, rig_2003, swept
+
+    scene, moved = swept.in_the_middle(rig, scene), swept.with_sweep(rig, seed)
+    photographs = rig_2003.BOARD_VIEWS * (1 + swept.STRIPES) + frames
+    with replacing_folders(out) as folder, progress("rendering", photographs) as advance:
+        lighting = replace(rig_2003.BOARD_LIGHTING, **light)
+        session = swept.simulate_swept_session(
+            folder / "session", seed, moved, lighting=lighting, advance=advance, **common
+        )
+        scan = folders.simulate_scan(
+            folder / folders.scan_name(""),
+            moved,
+            scene,
+            seed,
+            axes={AXIS: swept.sweep_of(frames).tolist()},
+            name=name,
+            lighting=replace(rig_2003.SCAN_LIGHTING, **light),
+            advance=advance,
+            **common,
+        )
+        folders.write_truth(folder / "truth", session, scan)
+    return scene, session, (scan,)
+
+
+def _each_pose(lasers: int, separate_stripes: bool, *, swept: bool = False) -> int:
     """How many photographs are taken of a board in one pose."""
+    if swept:
+        from jaxscan.simulation.swept import STRIPES
+
+        return 1 + STRIPES
     return 1 + lasers if separate_stripes or lasers > 1 else 1
 
 
@@ -502,13 +555,16 @@ def check_folder(out: Path, seed: int, *, replaced: bool) -> None:
         raise InputError(f"{out}: holds a simulation already: name another folder, or replace it with --force")
 
 
-def _check_robot(args: argparse.Namespace) -> None:
-    """Refuse what a robot takes the place of, and errors that are none."""
-    if not args.robot:
-        if (args.pose_mm, args.pose_deg) != (_POSE_MM, _POSE_DEG):
-            raise InputError("--pose-mm and --pose-deg are of a robot's poses: add --robot head or --robot object")
-        return
-    others = {
+def _check_swept(args: argparse.Namespace) -> None:
+    """Refuse what a light that is swept goes without."""
+    others = _of_a_stage(args) | {"--sheet-bow-mm": args.sheet_bow_mm, "--robot": args.robot, "--apart": args.apart}
+    if args.swept and (also := [option for option, given in others.items() if given]):
+        raise InputError(f"--swept goes without {', '.join(also)}: leave one of them out")
+
+
+def _of_a_stage(args: argparse.Namespace) -> dict[str, Any]:
+    """Options that need a stage, a second laser, or photographs of their own."""
+    return {
         "--turntable": args.turntable,
         "--sides": args.sides > 1,
         "--lasers 2": args.lasers > 1,
@@ -519,7 +575,15 @@ def _check_robot(args: argparse.Namespace) -> None:
         "--shake-mm": args.shake_mm,
         "--board-bend-mm": args.board_bend_mm,
     }
-    if also := [option for option, given in others.items() if given]:
+
+
+def _check_robot(args: argparse.Namespace) -> None:
+    """Refuse what a robot takes the place of, and errors that are none."""
+    if not args.robot:
+        if (args.pose_mm, args.pose_deg) != (_POSE_MM, _POSE_DEG):
+            raise InputError("--pose-mm and --pose-deg are of a robot's poses: add --robot head or --robot object")
+        return
+    if also := [option for option, given in _of_a_stage(args).items() if given]:
         raise InputError(f"--robot {args.robot} goes without {', '.join(also)}: leave one of them out")
     for option, sigma in (("--pose-mm", args.pose_mm), ("--pose-deg", args.pose_deg)):
         if not 0 <= sigma <= _MOST_POSE:

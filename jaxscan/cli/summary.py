@@ -46,7 +46,11 @@ def session_summary(path: Path) -> Summary:
     """Summary of a calibration session."""
     session = read_session(path)
     board = session.board
-    stripes = session.views.stripes
+    views = session.views
+    stripes = {
+        laser.name: [p for i in range(len(views.boards)) for _, p in views.lit(laser.name, i)]
+        for laser in session.lasers
+    }
     return {
         "kind": "session",
         "path": str(session.path),
@@ -62,7 +66,7 @@ def session_summary(path: Path) -> Summary:
         "hold": list(session.camera.hold),
         "tilt": session.camera.tilt,
         "views": len(session.views.boards),
-        "stripes": stripes and {name: sum(p is not None for p in paths) for name, paths in stripes.items()},
+        "stripes": None if views.stripes is None else {name: len(paths) for name, paths in stripes.items()},
         "lasers": [
             {**_laser_settings(laser), "sheet": sheet}
             for laser, sheet in zip(session.lasers, session.sheets or ["plane"] * len(session.lasers), strict=True)

@@ -196,6 +196,9 @@ def _fit(table: Table, lights: int) -> dict[str, Any]:
         raise fit.error("sheet_sigma_mm", "must be a number for each light, 0 if it is not known: calibrate again")
     if "stripe_depths_mm" in fit and not 0 < (depths := fit.numbers("stripe_depths_mm", 2))[0] <= depths[1]:
         raise fit.error("stripe_depths_mm", "must be the nearest and the farthest depth of a stripe: calibrate again")
+    if "light_positions" in fit:
+        swept = fit.table("light_positions", "fit.light_positions.")
+        _ = [swept.numbers(axis, 2) for axis in swept.values]
     _check_vectors(fit, "pose_offset_unknown", "directions")
     if "pose_range" in fit:
         poses = fit.table("pose_range", "fit.pose_range.")

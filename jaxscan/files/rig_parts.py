@@ -20,11 +20,13 @@ from jaxscan.rig import (
     Lens,
     Light,
     Motion,
+    MovingLight,
     ObjectPoses,
     Screw,
     ScrewOnGuide,
     motion_of,
 )
+from jaxscan.rig.light import moves
 
 
 def part_tables(table: Table, key: str, of: str) -> list[Table]:
@@ -73,7 +75,9 @@ def read_lights(tables: Sequence[Table], unknown: list[str]) -> tuple[Light, ...
     lights: list[Light] = []
     for table in tables:
         name = table.string("name") if table.values.get("name", "") != "" else ""
-        lights.append(_part(table, LIGHTS[_kind(table, LIGHTS)], unknown, name=name))
+        kind = LIGHTS[_kind(table, LIGHTS)]
+        axis = {"axis": _axis(table)} if moves(kind) else {}
+        lights.append(_part(table, kind, unknown, name=name, **axis))
     names = [light.name for light in lights]
     for i, (table, name) in enumerate(zip(tables, names, strict=True)):
         if len(names) > 1 and (not name or name in names[:i]):
@@ -89,19 +93,24 @@ def read_motion(tables: Sequence[Table], unknown: list[str]) -> Motion:
     """
     parts: list[AxisMotion] = []
     for table in tables:
-        axis = table.string("axis")
-        if not is_axis_name(axis):
-            raise table.error("axis", "is no name of an axis: write letters, digits, _ and - alone")
+        axis = _axis(table)
         if axis in [part.axis for part in parts]:
             raise table.error("axis", "stands twice: give each axis a name of its own")
         kind = MOTIONS[_kind(table, MOTIONS)]
         parts.append(_part(table, kind, unknown, axis=axis))
-        moves = next(iter(kind.numbers))
-        if not isinstance(parts[-1], HeadPoses | ObjectPoses) and max(map(abs, table.numbers(moves))) < 1 / LARGEST:
-            raise table.error(moves, f"the {axis} does not move: leave it out, or calibrate it")
+        travel = next(iter(kind.numbers))
+        if not isinstance(parts[-1], HeadPoses | ObjectPoses) and max(map(abs, table.numbers(travel))) < 1 / LARGEST:
+            raise table.error(travel, f"the {axis} does not move: leave it out, or calibrate it")
         if isinstance(parts[-1], Screw | ScrewOnGuide) and table.numbers("period", 1)[0] <= 0:
             raise table.error("period", "must be the steps of one turn of the screw, above 0: calibrate again")
     return motion_of(tuple(parts))
+
+
+def _axis(table: Table) -> str:
+    axis = table.string("axis")
+    if not is_axis_name(axis):
+        raise table.error("axis", "is no name of an axis: write letters, digits, _ and - alone")
+    return axis
 
 
 def _kind(table: Table, kinds: Mapping[str, object]) -> str:
@@ -123,7 +132,11 @@ def _part(table: Table, kind: type[Any], unknown: list[str], **named: str) -> An
 
 def lights_values(lights: tuple[Light, ...]) -> list[dict[str, Any]]:
     """The inverse of `read_lights`."""
-    return [{"name": light.name, "kind": light.kind, **part_numbers(light)} for light in lights]
+    moved = [{"axis": light.axis} if isinstance(light, MovingLight) else {} for light in lights]
+    return [
+        {"name": light.name, "kind": light.kind, **axis, **part_numbers(light)}
+        for light, axis in zip(lights, moved, strict=True)
+    ]
 
 
 def motion_values(motion: Motion) -> list[dict[str, Any]]:

@@ -14,6 +14,7 @@ from jaxscan.axis_details import POSES
 from jaxscan.errors import InputError
 from jaxscan.files.listing import common_size, files_of, files_or_gaps
 from jaxscan.files.session_poses import PosedImages, posed_values, read_posed_images
+from jaxscan.files.session_sweeps import STEPS, Sweep, read_light_axis, read_sweeps, sweeps_values
 from jaxscan.files.settings import (
     read_listing,
     read_steps,
@@ -79,10 +80,19 @@ class Views:
         boards: the photographs of the board.
         stripes: for each laser by name, and in the order of `boards`, the photograph of the same pose with that laser
             on, or None where there is none. None in place of it all: the stripe is in the photographs of the board.
+        sweeps: for each laser whose light is moved, by name, and in the order of `boards`, its stripes.
     """
 
     boards: tuple[Path, ...]
     stripes: Mapping[str, tuple[Path | None, ...]] | None = None
+    sweeps: Mapping[str, tuple[Sweep, ...]] = field(default_factory=dict, kw_only=True)
+
+    def lit(self, laser: str, index: int) -> Sweep:
+        """The photographs of the pose of a board in which a laser is on, with the steps of what moves its light."""
+        if laser in self.sweeps:
+            return self.sweeps[laser][index]
+        path = self.boards[index] if self.stripes is None else self.stripes[laser][index]
+        return () if path is None else ((0, path),)
 
 
 @dataclass(frozen=True)
@@ -133,6 +143,7 @@ class Session:
         turntable: the board on the turntable, where the rig has one.
         lasers: how to look for the stripe of each laser; none for a rig without a laser.
         sheets: the kind of each laser's sheet of light, in their order; empty where all are planes.
+        light_axes: of each laser whose light is moved, by its name, the axis that moves it.
         image_size: columns and rows of all its photographs.
         board_shape: what of the board's shape is to be found, one of `BOARD_SHAPES`.
         poses: those of the views, the last, for which a pose is given.
@@ -146,6 +157,7 @@ class Session:
     turntable: TurntableImages | None = None
     lasers: tuple[StripeSettings, ...] = ()
     sheets: tuple[str, ...] = field(default=(), kw_only=True)
+    light_axes: Mapping[str, str] = field(default_factory=dict, kw_only=True)
     image_size: tuple[int, int] = (0, 0)
     board_shape: str = "flat"
     poses: PosedImages | None = None
@@ -167,6 +179,7 @@ class Session:
         moved = self.sequences.values()
         paths = [*self.views.boards, *(path for sequence in moved for path in sequence.images)]
         lit = [*stripes, *(own for sequence in moved for own in sequence.stripes.values())]
+        lit += [[path for _, path in sweep] for own in self.views.sweeps.values() for sweep in own]
         return list(dict.fromkeys(paths + [path for own in lit for path in own if path is not None]))
 
 
@@ -198,22 +211,25 @@ def read_session(path: str | os.PathLike[str], *, whole: bool = True) -> Session
     if "views" not in table and posed is None:
         fix = "add it, with boards = the photographs of the board held in the hand, in three poses or more"
         raise table.error("views", f"is missing: {fix}; the camera is found from them")
-    views = table.optional_table("views", "[views] ").only("boards", "stripes")
+    views = table.optional_table("views", "[views] ").only("boards", "stripes", STEPS)
     boards = files_of(views, "boards") if "views" in table else ()
     if not boards and posed is None:
         raise views.error("boards", "names no photograph: name those of the board")
-    lasers, sheets, stripes = _lasers(table, views, len(boards))
+    lasers, sheets, axes, stripes, sweeps = _lasers(table, views, boards)
     if posed is not None:
+        if axes:
+            raise InputError(f"{table.path}: [{POSES}]: a light that is swept goes with boards under [views] alone")
         boards, stripes = _with_posed(posed, lasers, boards, stripes)
-    moved = _stage(table, lasers), _turntable(table, lasers)
+    moved = _stage(table, lasers, axes), _turntable(table, lasers, axes)
     session = Session(
         table.path,
         board,
-        Views(boards, stripes),
+        Views(boards, stripes, sweeps=sweeps),
         camera,
         *moved,
         lasers,
         sheets=sheets,
+        light_axes=axes,
         board_shape=shape,
         poses=posed[0] if posed else None,
     )
@@ -259,8 +275,13 @@ def write_session(session: Session) -> None:
     lasers = [stripe_values(laser) for laser in session.lasers]
     for laser, sheet in zip(lasers, session.sheets, strict=False):
         laser["sheet"] = sheet
+    for laser, own in zip(lasers, session.lasers, strict=True):
+        if (axis := session.light_axes.get(own.name)) is not None:
+            place = values["views"] if len(lasers) == 1 else laser
+            place |= sweeps_values(session.views.sweeps[own.name], folder)
+            laser["axis"] = axis
     names: dict[str, list[str]] = {}
-    if session.views.stripes is not None:
+    if session.views.stripes:
         names = {
             laser: [relative_name(path, folder) if path else "" for path in paths]
             for laser, paths in session.views.stripes.items()
@@ -269,7 +290,8 @@ def write_session(session: Session) -> None:
             (values["views"]["stripes"],) = (own[:held] for own in names.values())
         else:
             for laser in lasers:
-                laser["stripes"] = names[laser["name"]][:held]
+                if laser["name"] in names:
+                    laser["stripes"] = names[laser["name"]][:held]
     if session.poses is not None:
         lit = {laser: own[held:] for laser, own in names.items() if any(own[held:])}
         own_stripes = {"stripes": lit if len(lasers) > 1 else next(iter(lit.values()))} if lit else {}
@@ -329,6 +351,9 @@ def _listed(session: Session) -> Iterator[tuple[str, tuple[str, int], Path]]:
         for paths in (session.views.stripes or {}).values():
             if (stripe := paths[i]) is not None:
                 yield "the stripes of [views]", ("view", i), stripe
+        for sweeps in session.views.sweeps.values():
+            for _, path in sweeps[i]:
+                yield "the stripes of [views]", ("view", i), path
     for axis, sequence in session.sequences.items():
         for i, (image, step) in enumerate(zip(sequence.images, sequence.steps, strict=True)):
             pose = (axis, step)
@@ -386,11 +411,11 @@ def _camera(table: Table) -> CameraSettings:
     return CameraSettings(lens, cast(Literal["free", "centre"], principal_point), held, tilt)
 
 
-def _stage(table: Table, lasers: Sequence[StripeSettings]) -> StageImages | None:
+def _stage(table: Table, lasers: Sequence[StripeSettings], axes: Mapping[str, str]) -> StageImages | None:
     if "stage" not in table:
         return None
     stage = table.table("stage", "[stage] ").only(*_SEQUENCE_KEYS, "motion", "screw_steps", "mm_per_step")
-    images, steps, stripes = _sequence(stage, lasers, "two", 2)
+    images, steps, stripes = _sequence(stage, lasers, axes, "two", 2)
     motion = stage.string("motion", Linear.kind, stage_motions())
     screw = stage.number("screw_steps") if "screw_steps" in stage else None
     if screw is not None and screw <= 0:
@@ -401,23 +426,23 @@ def _stage(table: Table, lasers: Sequence[StripeSettings]) -> StageImages | None
     return StageImages(images, steps, stripes=stripes, motion=motion, screw_steps=screw, mm_per_step=known)
 
 
-def _turntable(table: Table, lasers: Sequence[StripeSettings]) -> TurntableImages | None:
+def _turntable(table: Table, lasers: Sequence[StripeSettings], axes: Mapping[str, str]) -> TurntableImages | None:
     if "turntable" not in table:
         return None
     turntable = table.table("turntable", "[turntable] ").only(*_SEQUENCE_KEYS, "stage_step", "motion")
     stood = turntable.whole("stage_step") if "stage_step" in turntable else 0
-    images, steps, stripes = _sequence(turntable, lasers, "three", 3)
+    images, steps, stripes = _sequence(turntable, lasers, axes, "three", 3)
     motion = turntable.string("motion", Rotary.kind, turntable_motions())
     return TurntableImages(images, steps, stood, stripes=stripes, motion=motion)
 
 
-_LASER_KEYS: Final = ("name", "color", "columns", "stripes", "sheet")
+_LASER_KEYS: Final = ("name", "color", "columns", "stripes", STEPS, "sheet", "axis")
 _SEQUENCE_KEYS: Final = ("images", "steps", "steps_per_image", "stripes")
 _Stripes = Mapping[str, tuple[Path | None, ...]]
 
 
 def _sequence(
-    table: Table, lasers: Sequence[StripeSettings], fewest_in_words: str, fewest: int
+    table: Table, lasers: Sequence[StripeSettings], axes: Mapping[str, str], fewest_in_words: str, fewest: int
 ) -> tuple[tuple[Path, ...], tuple[int, ...], _Stripes]:
     """The photographs of a board that something moves, the motor step count of each, and those of the stripe on it."""
     images = files_of(table, "images")
@@ -427,6 +452,8 @@ def _sequence(
             "steps" if "steps" in table else "images",
             f"photographs at {fewest_in_words} different step counts or more are needed",
         )
+    if axes and "stripes" in table:
+        raise table.error("stripes", "a light that is swept has its stripes on boards under [views]: leave this out")
     return images, steps, _stripes_of(table, lasers, len(images))
 
 
@@ -460,30 +487,38 @@ def _with_posed(
 
 
 def _lasers(
-    table: Table, views: Table, n_boards: int
-) -> tuple[tuple[StripeSettings, ...], tuple[str, ...], dict[str, tuple[Path | None, ...]] | None]:
-    """The lasers, the kind of each one's sheet, and the photographs of each one's stripe."""
+    table: Table, views: Table, boards: tuple[Path, ...]
+) -> tuple[
+    tuple[StripeSettings, ...], tuple[str, ...], dict[str, str], _Stripes | None, Mapping[str, tuple[Sweep, ...]]
+]:
+    """The lasers, the kind of each one's sheet, what moves them, and the photographs of each one's stripe."""
     tables = _laser_tables(table)
     lasers = tuple(read_stripe_settings(laser) for laser in tables)
     sheets = tuple(laser.string("sheet", LightPlane.kind, tuple(LIGHTS)) for laser in tables)
+    moved = [read_light_axis(laser, sheet) for laser, sheet in zip(tables, sheets, strict=True)]
     sheets = sheets if set(sheets) - {LightPlane.kind} else ()
     if len(lasers) > 1:
         _check_names(table, lasers)
-        if "stripes" in views:
-            raise views.error("stripes", "there are several lasers: give each [[laser]] its own stripes instead")
-        return (
-            lasers,
-            sheets,
-            {laser.name: _stripes(inner, n_boards) for laser, inner in zip(lasers, tables, strict=True)},
-        )
-    own = [inner for inner in tables if "stripes" in inner]
-    if own and "stripes" in views:
-        raise views.error("stripes", f"{own[0].prefix}stripes is given too: keep one of them")
-    if not own and "stripes" not in views:
-        return lasers, sheets, None
-    # Photographs of a stripe mean a laser, even if there is nothing to say about it.
-    lasers = lasers or (StripeSettings(),)
-    return lasers, sheets, {lasers[0].name: _stripes(own[0] if own else views, n_boards)}
+        for key in ("stripes", STEPS):
+            if key in views:
+                raise views.error(key, f"there are several lasers: give each [[laser]] its own {key} instead")
+    axes = {laser.name: axis for laser, axis in zip(lasers, moved, strict=True) if axis}
+    places = dict(zip([laser.name for laser in lasers], tables, strict=True))
+    if len(lasers) <= 1:
+        own = [inner for inner in tables if "stripes" in inner or STEPS in inner]
+        if own and ("stripes" in views or STEPS in views):
+            raise views.error("stripes", f"{own[0].prefix}stripes is given too: keep one of them")
+        # Photographs of a stripe mean a laser, even if there is nothing to say about it.
+        lasers = lasers or ((StripeSettings(),) if "stripes" in views else ())
+        places = {laser.name: own[0] if own else views for laser in lasers}
+    for name, place in places.items():
+        if name not in axes and STEPS in place:
+            raise place.error(STEPS, 'the light stands still: leave it out, or set sheet = "swept" under [laser]')
+    sweeps = {name: read_sweeps(places[name], boards, axis) for name, axis in axes.items()}
+    still = {name: place for name, place in places.items() if name not in axes}
+    if len(lasers) <= 1 and not any("stripes" in place for place in still.values()):
+        return lasers, sheets, axes, {} if axes else None, sweeps
+    return lasers, sheets, axes, {name: _stripes(place, len(boards)) for name, place in still.items()}, sweeps
 
 
 def _laser_tables(table: Table) -> list[Table]:

@@ -70,6 +70,10 @@ def _roles(session: Session, files: Mapping[Path, str]) -> dict[str, set[str]]:
     own = session.views.stripes
     for i, board in enumerate(session.views.boards):
         roles[files[board]].add(f"{_BOARD}, with the stripe in it" if own is None and session.lasers else _BOARD)
+        for laser, sweeps in session.views.sweeps.items():
+            for step, stripe in sweeps[i]:
+                of = f"the stripe of laser {laser}" if laser else "the stripe"
+                roles[files[stripe]].add(f"{of} at step {step} in the pose of {files[board]}")
         for laser, paths in (own or {}).items():
             if (stripe := paths[i]) is not None:
                 of = f"the stripe of laser {laser}" if laser else "the stripe"
@@ -143,9 +147,18 @@ def _views_apart(first: Session, second: Session, files: Mapping[Path, str]) -> 
         return tuple(paths[j] for j in rest)
 
     boards = tuple(second.views.boards[j] for j in rest)
+    swept = {laser: list(own) for laser, own in first.views.sweeps.items()}
+    for laser, own in second.views.sweeps.items():
+        for i, j in again:
+            # A photograph that both have is one of the first's.
+            known = {files[path] for _, path in swept[laser][i]}
+            swept[laser][i] = (*swept[laser][i], *(each for each in own[j] if files[each[1]] not in known))
+    sweeps = {laser: tuple(own) for laser, own in swept.items()}
+    others_sweeps = {laser: tuple(own[j] for j in rest) for laser, own in second.views.sweeps.items()}
     if first.views.stripes is None or second.views.stripes is None:
         others = second.views.stripes
-        return first.views, Views(boards, others and {laser: left(paths) for laser, paths in others.items()})
+        left_stripes = others and {laser: left(paths) for laser, paths in others.items()}
+        return replace(first.views, sweeps=sweeps), Views(boards, left_stripes, sweeps=others_sweeps)
     stripes = {laser: list(paths) for laser, paths in first.views.stripes.items()}
     for laser, paths in second.views.stripes.items():
         for i, j in again:
@@ -157,6 +170,6 @@ def _views_apart(first: Session, second: Session, files: Mapping[Path, str]) -> 
                 )
             stripes[laser][i] = here or there
     return (
-        Views(first.views.boards, {laser: tuple(paths) for laser, paths in stripes.items()}),
-        Views(boards, {laser: left(paths) for laser, paths in second.views.stripes.items()}),
+        Views(first.views.boards, {laser: tuple(paths) for laser, paths in stripes.items()}, sweeps=sweeps),
+        Views(boards, {laser: left(paths) for laser, paths in second.views.stripes.items()}, sweeps=others_sweeps),
     )

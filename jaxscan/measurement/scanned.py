@@ -22,7 +22,8 @@ from jaxscan.files.units import UNITS
 from jaxscan.measurement.shapes import lengths
 from jaxscan.reconstruction import RangeImage
 from jaxscan.reconstruction.point_sigma import point_jacobians, ray_jacobian
-from jaxscan.rig import Rig
+from jaxscan.rig import Light, Rig
+from jaxscan.rig.light import light_at
 from jaxscan.rig.projection import project_points
 from jaxscan.rig.rig import parameter_names
 from jaxscan.surface.side import along_line
@@ -158,7 +159,8 @@ def scanned_image(image: RangeImage, rig: RigFile | None = None, part: Part | No
     T = np.broadcast_to(np.asarray(motion.translation), (len(image.valid), 3))
     # Frame by frame: a matrix for each point would not fit the processor's cache.
     seen = (np.matmul(image.points.astype(np.float64), R.swapaxes(1, 2)) + T[:, None])[image.valid]
-    e = along_line(np.asarray(rig.rig.lights[laser].gradient(seen)), seen, 0 if columns else 1)
+    light = _stood(rig.rig.lights[laser], image, frame)
+    e = along_line(np.asarray(light.gradient(seen)), seen, 0 if columns else 1)
     along = np.abs((e * seen).sum(axis=1)) / np.linalg.norm(seen, axis=1)
     sigma = image.sigma_pixel[image.valid].astype(np.float64)
     sigma = sigma if known else np.ones(len(points))
@@ -231,6 +233,11 @@ def _runs(frame: Int[np.ndarray, "points"], frames: int) -> list[tuple[int, int]
     return list(zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True))
 
 
+def _stood(light: Light, image: RangeImage, frame: Int[np.ndarray, "points"]) -> Light:
+    """A light as it stood while each point of some frames was seen."""
+    return light_at(light, {axis: np.asarray(steps, np.float64)[frame] for axis, steps in image.positions.items()})
+
+
 def _as_the_rig_sees_it(image: RangeImage, rig: Rig) -> tuple[int, bool, bool]:
     """Which of the rig's lights it was, whether the stripe was looked for in columns, and whether its σ is known.
 
@@ -248,7 +255,7 @@ def _as_the_rig_sees_it(image: RangeImage, rig: Rig) -> tuple[int, bool, bool]:
     ranges = rig.camera.chart.range_of(seen)
     if not (ranges > 0).all():
         raise InputError(_NOT_THIS_RIG)
-    w = np.asarray(rig.lights[laser].inverse_depth(seen / ranges[:, None]))
+    w = np.asarray(_stood(rig.lights[laser], image, frames).inverse_depth(seen / ranges[:, None]))
     if not float(np.median(np.abs(w * ranges - 1))) < _OFF_SHEET:
         raise InputError(_NOT_THIS_RIG)
     pixels = project_points(rig.camera, seen).pixels

@@ -17,7 +17,7 @@ from jaxtyping import Array, Float, Real
 
 from jaxscan.buckets import bucket
 from jaxscan.precision import as_float64, batches_of, float64
-from jaxscan.rig import Covariance, Motion, Positions, Rig
+from jaxscan.rig import Covariance, Motion, MovingLight, Positions, Rig
 from jaxscan.rig.light import inverse_depths
 from jaxscan.rig.motion import origin_shift
 from jaxscan.rig.projection import pixel_rays, project_points
@@ -162,7 +162,9 @@ def jacobian_along(
     moves what it brings to the camera's centre (`rig.motion.origin_shift`).
     """
     which = rig.lights.index(rig.light(laser))
-    w, w_by_ray, w_by_numbers = inverse_depths(rig.lights[which], rays)
+    light = rig.lights[which]
+    at = q.get(light.axis) if isinstance(light, MovingLight) else None
+    w, w_by_ray, w_by_numbers = inverse_depths(light, rays, at)
     with np.errstate(invalid="ignore", divide="ignore"):
         z = np.where(w > 0, 1 / w, np.nan)
         seen = project_points(rig.camera, rays)

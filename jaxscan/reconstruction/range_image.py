@@ -20,6 +20,7 @@ from jaxscan.geometry import Pose
 from jaxscan.precision import as_numpy
 from jaxscan.reconstruction.turns import full_turn, gaps_between, sweeps_of
 from jaxscan.rig import Fixed, Light, Motion
+from jaxscan.rig.light import light_at
 
 _STILL: Final = Fixed()
 # Profiles of a turn that are further apart make no surface.
@@ -191,6 +192,11 @@ class RangeImage:
         """
         gaps = gaps_between(self.steps, self.full_turn)
         return gaps if len(self.moving) < 2 else gaps[: len(self.valid) - 1]
+
+    def sheets_in_frames(self) -> tuple[Light, ...]:
+        """`sheets` where they stood; one that moves as a stack of (frames, 1) lights."""
+        q = {axis: np.asarray(steps, np.float64)[:, None] for axis, steps in self.positions.items()}
+        return tuple(light_at(sheet, q) for sheet in self.sheets)
 
     def closed(self) -> "RangeImage":
         """The image with its first frame repeated after the last if the object made a full turn; else unchanged."""

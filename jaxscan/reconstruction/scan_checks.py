@@ -10,6 +10,7 @@ from jaxscan.axis_details import POSES, is_detail
 from jaxscan.errors import InputError
 from jaxscan.files.axes import STAGE
 from jaxscan.files.listing import common_size
+from jaxscan.files.rig_file import RigFile
 from jaxscan.files.scan import Scan
 from jaxscan.files.session import SEQUENCES
 from jaxscan.images import StripeSettings
@@ -17,8 +18,9 @@ from jaxscan.reconstruction.frames import wrong_size
 from jaxscan.reconstruction.merged_steps import step_groups
 from jaxscan.reconstruction.range_image import WIDE_APART_DEG
 from jaxscan.reconstruction.turns import sweeps_of
-from jaxscan.rig import Rig
+from jaxscan.rig import MovingLight, Rig
 from jaxscan.rig.given_poses import NM
+from jaxscan.rig.light import light_axes
 from jaxscan.rig.stripe_way import setting_instead, slope_across, way_across
 
 # A stripe that runs so much more steeply than the lines in which it is looked for meets few of them.
@@ -29,6 +31,8 @@ _MOST_TURNS: Final = 5
 _FEWEST_GAPS: Final = 3
 # Points further from the origin, mm, are not resolved to 0.01 mm as float32.
 _FARTHEST_MM: Final = 1e5
+# A light that goes beyond its calibration by a larger part of its travel there is worth a word.
+_BEYOND: Final = 0.1
 
 
 def check_scan(rig: Rig, scan: Scan) -> None:
@@ -42,7 +46,7 @@ def check_scan(rig: Rig, scan: Scan) -> None:
         if size != rig.camera.image_size:
             raise InputError(wrong_size(photographs[0], size, rig.camera.image_size))
     key = "[scan] steps:" if scan.axis_names == (STAGE,) else "[scan.axes]" if scan.poses is None else "[scan] poses:"
-    check_axes(rig, scan.moving, scan.axis_names, f"{scan.path}: {key}")
+    check_axes(rig, scan.moving, scan.axis_names, f"{scan.path}: {key}", scan.laser.name)
     _check_near(rig, scan)
     step_groups(scan)
 
@@ -66,14 +70,15 @@ def check_lines(rig: Rig, laser: StripeSettings, where: str) -> None:
         )
 
 
-def check_axes(rig: Rig, moving: Sequence[str], named: Sequence[str], where: str) -> None:
-    """Refuse positions from which the rig cannot compute the pose of the object.
+def check_axes(rig: Rig, moving: Sequence[str], named: Sequence[str], where: str, laser: str) -> None:
+    """Refuse positions from which the rig cannot compute the pose of the object, or where the light stands.
 
     Args:
         rig: the rig.
         moving: the axes that move from frame to frame.
         named: those whose positions are known.
         where: what is at fault, for errors.
+        laser: the name of the laser that is on.
 
     Raises:
         InputError: one moves that the rig lacks, or it is not said where one stands that carries one that moves.
@@ -84,8 +89,16 @@ def check_axes(rig: Rig, moving: Sequence[str], named: Sequence[str], where: str
             f"{where} this rig is moved by given poses, and the scan has none: give poses = the table with the pose of "
             "each frame"
         )
+    lit = [light.axis for light in rig.lights if isinstance(light, MovingLight) and laser in ("", light.name)]
+    for axis in lit:
+        if axis not in named:
+            raise InputError(
+                f"{where} the light of this rig is moved by an axis {axis}, and the scan does not say where that "
+                f"stands: give its motor steps under [scan.axes], {axis} = one number for each frame, or start and "
+                "per_frame"
+            )
     for axis in moving:
-        if axis not in axes:
+        if axis not in axes and axis not in lit:
             has = f"it has {', '.join(axes)}" if axes else "it has none"
             fixes = [f"calibrate with a [{axis}] sequence"] if axis in (*SEQUENCES, POSES) else []
             fixes += ["name the axis as the rig does"] if axes else []
@@ -144,7 +157,8 @@ def way_notes(rig: Rig, scan: Scan) -> list[str]:
             "between them, or there is no surface"
         )
     for axis in scan.moving:
-        step, unit = rig.axis(axis).amount(1.0)
+        lit = axis in light_axes(rig.lights)
+        step, unit = (rig.light_axis(axis) if lit else rig.axis(axis)).amount(1.0)
         if unit != "degrees":
             continue
         whole = step * float(np.ptp(scan.axes.get(axis, (0,))))
@@ -168,6 +182,21 @@ def way_notes(rig: Rig, scan: Scan) -> list[str]:
                 f"the frames are up to {apart:.1f} degrees of the {axis} apart: profiles so far from each other make "
                 f"points, and no surface; take one every {WIDE_APART_DEG:g} degrees"
                 + (f", {int(WIDE_APART_DEG / step)} steps, or fewer" if step <= WIDE_APART_DEG else " or fewer")
+            )
+    return notes
+
+
+def sweep_notes(content: RigFile, scan: Scan) -> list[str]:
+    """What is said of a light that goes beyond where the calibration has seen it."""
+    notes = []
+    for axis, (least, most) in content.fit.get("light_positions", {}).items():
+        steps = scan.axes.get(axis, ())
+        beyond = max(least - min(steps, default=least), max(steps, default=most) - most)
+        if beyond > _BEYOND * (most - least):
+            notes.append(
+                f"the {axis} goes from {min(steps)} to {max(steps)} steps, the calibration from {least:g} to {most:g}: "
+                "beyond, errors grow as σ says, and faster if the axis is not the one that was fitted: calibrate over "
+                "the whole sweep"
             )
     return notes
 

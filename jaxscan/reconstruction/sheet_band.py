@@ -5,18 +5,21 @@ object, for camera and sheet do not move with it. Depths from 1 / 1.5 of the nea
 point of the calibration leave, in each column (or row) of the image, a band of rows (or columns).
 """
 
+from collections.abc import Callable
 from typing import Final
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from jaxscan.errors import InputError
 from jaxscan.files.rig_file import RigFile
 from jaxscan.images import StripeSettings
 from jaxscan.images.stripes.settle import Band
 from jaxscan.reconstruction.triangulate import FramePoses, Kernel, triangulate
-from jaxscan.rig import Fixed
+from jaxscan.rig import Fixed, Positions, Rig
+from jaxscan.rig.light import light_at
+from jaxscan.rig.projection import pixel_rays
 
 # By how much the calibration's range of depths is widened, either way.
 WIDENED: Final = 1.5
@@ -41,6 +44,27 @@ def check_depths(depths_mm: tuple[float, float]) -> None:
         raise InputError(f"depths {near:g} to {far:g} mm: give the nearest and the farthest, as 200,500, or 0,inf")
 
 
+def swept_band(rig: Rig, laser: StripeSettings, depths_mm: tuple[float, float]) -> Callable[[Positions], Band] | None:
+    """As `sheet_band`, of a light that moves: the band of each frame by positions of the axes, motor steps."""
+    near, far = depths_mm
+    if near == 0 and far == np.inf:
+        return None
+    light, (line, place) = rig.light(laser.name), _grid(laser, rig.camera.image_size)
+    pixels = np.stack([line, place] if laser.columns else [place, line], axis=-1).reshape(-1, 2).astype(np.float64)
+    rays = pixel_rays(rig.camera, pixels).astype(np.float32)
+    ranges = rig.camera.chart.range_of(rays)
+
+    def of_frames(q: Positions) -> Band:
+        each = []
+        for i in range(len(next(iter(q.values())))):
+            w = np.asarray(light_at(light, {axis: np.float32(n[i]) for axis, n in q.items()}).inverse_depth(rays))
+            each.append(_ends(ranges / np.where(w > 0, w, np.nan), place, near, far))
+        low, high = (np.stack(edge) for edge in zip(*each, strict=True))
+        return low, high
+
+    return of_frames
+
+
 def sheet_band(
     kernel: Kernel, laser: StripeSettings, size: tuple[int, int], depths_mm: tuple[float, float]
 ) -> Band | None:
@@ -55,15 +79,28 @@ def sheet_band(
     near, far = depths_mm
     if near == 0 and far == np.inf:
         return None
-    lines, length = size if laser.columns else size[::-1]
-    line, place = np.meshgrid(
-        np.arange(lines), np.arange(0, length + _EVERY, _EVERY).clip(max=length - 1), indexing="ij"
-    )
+    line, place = _grid(laser, size)
     u, v = (line, place) if laser.columns else (place, line)
     still = FramePoses.create(Fixed(), {}, len(line))
     found = triangulate(kernel, still, *(jnp.asarray(x, jnp.float32) for x in (u, v)))
-    depth: Float[np.ndarray, "lines places"] = kernel.chart.range_of(np.asarray(found))
-    # NaN where a ray does not meet the sheet.
+    return _ends(kernel.chart.range_of(np.asarray(found)), place, near, far)
+
+
+def _grid(
+    laser: StripeSettings, size: tuple[int, int]
+) -> tuple[Int[np.ndarray, "lines places"], Int[np.ndarray, "lines places"]]:
+    """The lines of an image of this size, and the places in them that are looked at."""
+    lines, length = size if laser.columns else size[::-1]
+    places = np.arange(0, length + _EVERY, _EVERY).clip(max=length - 1)
+    line, place = np.meshgrid(np.arange(lines), places, indexing="ij")
+    return line, place
+
+
+def _ends(
+    depth: Float[np.ndarray, "*points"], place: Int[np.ndarray, "lines places"], near: float, far: float
+) -> tuple[Float[np.ndarray, "lines"], Float[np.ndarray, "lines"]]:
+    """The first and the last place of each line whose depth is between two; NaN where a ray does not meet the sheet."""
+    depth = depth.reshape(place.shape)
     inside = (depth >= near) & (depth <= far)
     low = np.where(inside, place, np.inf).min(axis=1) - _EVERY
     high = np.where(inside, place, -np.inf).max(axis=1) + _EVERY

@@ -16,6 +16,8 @@ the sheet leaves the camera's view: A, B, D and d are kept as Chebyshev polynomi
 derivatives (`point_sigma`) on a grid.
 """
 
+from collections.abc import Mapping
+from functools import partial
 from typing import Final
 
 import equinox as eqx
@@ -26,9 +28,9 @@ from numpy.polynomial import chebyshev
 
 from jaxscan.kept_programs import compiled
 from jaxscan.reconstruction.point_sigma import PositionsOfPoints, jacobian_along, motion_shifts
-from jaxscan.rig import Covariance, Rig
+from jaxscan.rig import Covariance, MovingLight, Rig
 from jaxscan.rig.chart import AROUND
-from jaxscan.rig.light import inverse_depths
+from jaxscan.rig.light import inverse_depths, light_at
 from jaxscan.rig.projection import pixel_rays
 from jaxscan.rig.rig import leaves_of
 
@@ -39,6 +41,8 @@ _DEGREE_AROUND: Final = 26
 _PIXELS_PER_DEGREE: Final = 2.4
 # A point further than this multiple of the nearest distance in view is beyond what any scanner measures.
 _FURTHEST: Final = 20.0
+# Degrees, or mm, from one place of a light that moves to the next at which maps are made.
+_APART: Final = 1.0
 
 
 class SigmaMap(eqx.Module):
@@ -46,18 +50,23 @@ class SigmaMap(eqx.Module):
 
     Attributes:
         maps: Chebyshev coefficients of A, D, the three numbers of d and those of B in the stripe's position, line by
-            line.
+            line; of a light that moves, for each frame.
         length: of a line, px.
         S: covariance of the motion's numbers.
     """
 
-    maps: Float[Array, "degrees maps lines"]
+    maps: Float[Array, "degrees maps *frames lines"]
     length: Float[Array, ""]
     S: Float[Array, "numbers numbers"]
 
     @staticmethod
-    def create(rig: Rig, light: str, covariance: Covariance, columns: bool) -> "SigmaMap":
-        """The maps of one light, for stripes found column by column (or row by row)."""
+    def create(
+        rig: Rig, light: str, covariance: Covariance, columns: bool, q: Mapping[str, float] | None = None
+    ) -> "SigmaMap":
+        """The maps of one light, for stripes found column by column (or row by row).
+
+        Of a light that moves, where it stands at positions of the axes, motor steps, or else in the middle.
+        """
         degree = _DEGREE_AROUND if rig.camera.chart is AROUND else _DEGREE
         grid = round(_PIXELS_PER_DEGREE * degree)
         nodes = np.cos(np.pi * (np.arange(grid) + 0.5) / grid)
@@ -65,8 +74,9 @@ class SigmaMap(eqx.Module):
         width, height = rig.camera.image_size
         pixels = np.stack([(u + 1) / 2 * (width - 1), (v + 1) / 2 * (height - 1)], axis=-1)
         rays = pixel_rays(rig.camera, pixels)
-        w, _, _ = inverse_depths(rig.light(light), rays)
-        still, of_pixel = jacobian_along(rig, light, rays, {}, columns)
+        each = {axis: np.full(len(rays), float(steps)) for axis, steps in (q or {}).items()}
+        w, _, _ = inverse_depths(light_at(rig.light(light), q or {}), rays)
+        still, of_pixel = jacobian_along(rig, light, rays, each, columns)
         J, S, at = still * w[:, None] ** 2, covariance.of_leaves(rig), leaves_of(rig, "motion.")
         # What the motion's numbers move is in m, frame by frame.
         J[:, at] = 0.0
@@ -131,7 +141,8 @@ def point_sigmas(
         at = row[..., 0] * points[..., 0] + row[..., 1] * points[..., 1] + row[..., 2] * points[..., 2] + row[..., 3]
         z2 = z2 + at**2
     t = 2 * position / (sigma_map.length - 1) - 1
-    A, D, x, y, z, *B = (_clenshaw(sigma_map.maps[:, i, None], t) for i in range(sigma_map.maps.shape[1]))
+    maps = sigma_map.maps if sigma_map.maps.ndim == 4 else sigma_map.maps[:, :, None]
+    A, D, x, y, z, *B = (_clenshaw(maps[:, i], t) for i in range(maps.shape[1]))
     shifts, S = frames.shifts[:, None], sigma_map.S
     m = [-(shifts[..., 0, k] * x + shifts[..., 1, k] * y + shifts[..., 2, k] * z) for k in range(len(B))]
     variance = z2 * z2 * A
@@ -144,10 +155,43 @@ def point_sigmas(
 
 
 def _clenshaw(
-    coefficients: Float[Array, "degrees 1 lines"], t: Float[Array, "frames lines"]
+    coefficients: Float[Array, "degrees frames_or_1 lines"], t: Float[Array, "frames lines"]
 ) -> Float[Array, "frames lines"]:
     """Σ c_i T_i(t)."""
     later = latest = jnp.zeros_like(t)
     for c in coefficients[:0:-1]:
         later, latest = 2 * t * later - latest + c, later
     return t * later - latest + coefficients[0]
+
+
+class SweptMap:
+    """The maps of a light that moves: made where it stands every degree or millimetre, and linear between.
+
+    Args:
+        rig: the rig.
+        light: which of its lights.
+        covariance: of the rig's parameters.
+        columns: whether stripes are found column by column.
+    """
+
+    def __init__(self, rig: Rig, light: str, covariance: Covariance, columns: bool) -> None:
+        moved = rig.light(light)
+        assert isinstance(moved, MovingLight)
+        self._axis = moved.axis
+        self._apart = _APART / moved.amount(1.0)[0]
+        self._create = partial(SigmaMap.create, rig, light, covariance, columns)
+        self._made: dict[int, SigmaMap] = {}
+
+    def at(self, q: PositionsOfPoints) -> SigmaMap:
+        """The maps of some frames, by the positions of the axes at each."""
+        at = np.asarray(q[self._axis], np.float64) / self._apart
+        below = np.floor(at).astype(int)
+        low, high = ([self._of(k + by) for k in below.tolist()] for by in (0, 1))
+        part = (at - below).astype(np.float32)[:, None]
+        maps = [np.stack([np.asarray(one.maps) for one in each], axis=2) for each in (low, high)]
+        return SigmaMap(jnp.asarray(maps[0] + part * (maps[1] - maps[0])), low[0].length, low[0].S)
+
+    def _of(self, k: int) -> SigmaMap:
+        if k not in self._made:
+            self._made[k] = self._create({self._axis: k * self._apart})
+        return self._made[k]

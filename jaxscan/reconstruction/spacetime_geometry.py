@@ -12,7 +12,7 @@ from jaxscan.images.stripes.likelihood import FWHM
 from jaxscan.reconstruction.merged_steps import step_groups
 from jaxscan.reconstruction.spacetime import Geometry, carried, half_window
 from jaxscan.reconstruction.turns import full_turn, gaps_between
-from jaxscan.rig import Rig
+from jaxscan.rig import MovingLight, Rig
 
 # Frames of the scan that are looked at; of a video, every Nth from its first on.
 _LOOKED_AT, _EVERY = 16, 12
@@ -35,6 +35,11 @@ def spacetime_geometry(rig: Rig, scan: Scan) -> tuple[Geometry, float]:
         raise InputError(
             f"{scan.path}: [scan] poses: spacetime analysis follows an axis with equal motor steps: leave "
             "--spacetime out"
+        )
+    if isinstance(rig.light(scan.laser.name), MovingLight):
+        raise InputError(
+            f"{scan.path}: [scan] the light moves and the object stands: spacetime analysis is there for objects that "
+            "move alone: leave --spacetime out"
         )
     places = [scan.positions[group.start] for group in step_groups(scan)]
     _check_enough(scan, len(places), _LEAST_SIGMA)

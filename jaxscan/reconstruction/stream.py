@@ -29,6 +29,7 @@ from jaxscan.images.stripes.batch import FRAMES_AT_ONCE
 from jaxscan.images.stripes.brightest import miscoloured
 from jaxscan.images.stripes.coherent import HALO
 from jaxscan.images.stripes.colourless import check_colours
+from jaxscan.images.stripes.settle import Band
 from jaxscan.images.stripes.validity import Verdict
 from jaxscan.reconstruction.frames import Frames, frames_of, frames_of_scan, with_positions
 from jaxscan.reconstruction.light_watch import LightWatch
@@ -39,7 +40,7 @@ from jaxscan.reconstruction.pose_notes import check_poses, pose_notes
 from jaxscan.reconstruction.pose_sigma import PoseSigma
 from jaxscan.reconstruction.range_image import RangeImage
 from jaxscan.reconstruction.repeat_watch import RepeatWatch
-from jaxscan.reconstruction.scan_checks import check_axes, check_lines, check_scan, way_notes
+from jaxscan.reconstruction.scan_checks import check_axes, check_lines, check_scan, sweep_notes, way_notes
 from jaxscan.reconstruction.scan_colours import object_stands, own_colours
 from jaxscan.reconstruction.scan_notes import (
     REASONS,
@@ -50,14 +51,15 @@ from jaxscan.reconstruction.scan_notes import (
     in_another_colour,
     left_out_notes,
 )
-from jaxscan.reconstruction.sheet_band import check_depths, depths_of, sheet_band
-from jaxscan.reconstruction.sigma_map import MovedFrames, SigmaMap, point_sigmas
+from jaxscan.reconstruction.sheet_band import check_depths, depths_of, sheet_band, swept_band
+from jaxscan.reconstruction.sigma_map import MovedFrames, SigmaMap, SweptMap, point_sigmas
 from jaxscan.reconstruction.spacetime import Geometry, half_window, spacetime_profiles
 from jaxscan.reconstruction.spacetime_geometry import coarse_notes, spacetime_geometry
 from jaxscan.reconstruction.thick_sheet import Looked, ThickSheet, frames_apart, middles
 from jaxscan.reconstruction.triangulate import FramePoses, Kernel, triangulate_stripes
 from jaxscan.reconstruction.turns import two_frames, with_ends, with_runs
-from jaxscan.rig import Positions, Rig, played_axes, run_of
+from jaxscan.rig import MovingLight, Positions, Rig, played_axes, run_of
+from jaxscan.rig.light import light_at
 from jaxscan.rig.play import Runs
 
 # Each has a buffer of its own.
@@ -138,7 +140,12 @@ class Scanner:
         check_lines(self._content.rig, scan.laser, f"{scan.path}: [laser] columns = {str(scan.laser.columns).lower()}")
         frames = seen = points = 0
         self.notes, self.left_out = [], {}
-        notes = [*way_notes(self._content.rig, scan), *doubts(scan.checks), *gap_notes(scan)]
+        notes = [
+            *way_notes(self._content.rig, scan),
+            *sweep_notes(self._content, scan),
+            *doubts(scan.checks),
+            *gap_notes(scan),
+        ]
         notes += [*background_notes(self._content.rig, scan), *pose_notes(self._content, scan)]
         verdicts, watch, order = np.zeros(len(Verdict), int), LightWatch(), OrderWatch(self._content.rig.motion)
         # Whoever stops early stops the reader too.
@@ -226,7 +233,7 @@ class Scanner:
                 check_colours(some.images[: len(some.positions)], settings.color, "frame 0")
             moved = (some.positions != first).any(axis=0)
             moving = [axis for axis, each in zip(axes, moved, strict=True) if each and not is_detail(axis)]
-            check_axes(self._content.rig, moving, axes, "frames:")
+            check_axes(self._content.rig, moving, axes, "frames:", settings.name)
             image, stripe = ready.range_image(*_with_runs(some, axes, played))
             if not looked:
                 looked = True
@@ -332,12 +339,20 @@ class _Laser:
         self._choice: Choice = choice
         self._kernel = Kernel.create(rig, name)
         size = rig.camera.image_size
-        self._band = None if depths_mm is None else sheet_band(self._kernel, laser, size, depths_mm)
-        self._map = (
-            None if content.covariance is None else SigmaMap.create(rig, name, content.covariance, laser.columns)
-        )
-        # What boards have shown the detector's own prediction to be short of.
-        self._ratio = np.float32(content.fit.get("stripe_sigma_ratio", 1.0))
+        self._light = rig.light(name)
+        self._moves = isinstance(self._light, MovingLight)
+        # Of a light that moves by the positions of the axes.
+        self._band: Band | Callable[[Positions], Band] | None = None
+        if depths_mm is not None and self._moves:
+            self._band = swept_band(rig, laser, depths_mm)
+        elif depths_mm is not None:
+            self._band = sheet_band(self._kernel, laser, size, depths_mm)
+        self._map = None
+        if content.covariance is not None:
+            self._map = (SweptMap if self._moves else SigmaMap.create)(rig, name, content.covariance, laser.columns)
+        # What boards have shown the detector's own prediction to be short of. Of what it exceeds there nothing is
+        # taken off: black squares make it cautious, and other surfaces have none.
+        self._ratio = np.float32(max(float(content.fit.get("stripe_sigma_ratio", 1.0)), 1.0))
         self._of_poses = PoseSigma.of(content)
         self._rig = rig
         thick = content.fit.get("sheet_sigma_mm", ())
@@ -353,6 +368,8 @@ class _Laser:
             standing: whether the object does not move, so that one laser-off photograph shows it for all frames.
         """
         count, size = len(frames.positions), len(frames.images)
+        positions = np.pad(frames.positions, ((0, size - count), (0, 0)), mode="edge")
+        q = dict(zip(axes, positions.T, strict=True))
         stripe = detect_stripe(
             frames.images,
             self._laser,
@@ -360,17 +377,15 @@ class _Laser:
             detector=self._detector,
             choice=self._choice,
             count=count,
-            band=self._band,
+            band=self._band(q) if callable(self._band) else self._band,
         )
         # Whatever follows keeps the buffer's size too.
         position, sigma, strength = (
             np.pad(x, ((0, size - count), (0, 0)), constant_values=np.nan)
             for x in (stripe.position, stripe.sigma, stripe.strength)
         )
-        positions = np.pad(frames.positions, ((0, size - count), (0, 0)), mode="edge")
-        q = dict(zip(axes, positions.T, strict=True))
         points = triangulate_stripes(
-            self._kernel, FramePoses.create(self._rig.motion, q, size), position, self._laser.columns
+            self._kernel_at(q), FramePoses.create(self._rig.motion, q, size), position, self._laser.columns
         )
         found = self.with_sigma(position, sigma, strength, points, q)[:count, :]
         colours = None
@@ -379,13 +394,17 @@ class _Laser:
         width = np.where(stripe.burnt, np.float32(np.nan), stripe.width)
         return replace(found, light=stripe.light, colours=colours, width=width), stripe
 
+    def _kernel_at(self, q: Positions) -> Kernel:
+        """The kernel with the light as it stands in some frames."""
+        return self._kernel.with_lights(light_at(self._light, q)) if self._moves else self._kernel
+
     def frames_apart(self, two: Mapping[str, Int[np.ndarray, "2"]] | None) -> int:
         """How many frames before and behind one show the surface beside the sheet; 0 where it is taken to be thin.
 
         Args:
             two: positions of the axes at two frames, one after the other; None where there are none.
         """
-        if two is None or not self._thickness_mm:
+        if two is None or not self._thickness_mm or self._moves:
             return 0
         return frames_apart(self._rig, self._laser.name, self._thickness_mm, two)
 
@@ -421,12 +440,12 @@ class _Laser:
         sigma = sigma_pixel = np.full(valid.shape, np.nan, np.float32)
         if self._map is not None:
             own, moved = self._ratio * stripe_sigma, MovedFrames.create(self._rig, q, len(position))
-            sigma, sigma_pixel = (np.asarray(x) for x in point_sigmas(self._map, moved, position, points, own))
+            maps = self._map.at(q) if isinstance(self._map, SweptMap) else self._map
+            sigma, sigma_pixel = (np.asarray(x) for x in point_sigmas(maps, moved, position, points, own))
             if self._of_poses is not None:
                 sigma = np.hypot(sigma, self._of_poses.along_rays(points, q))
         points = np.where(valid[..., None], points, np.float32(np.nan))
-        sheets = (self._rig.light(self._laser.name),)
-        return RangeImage(points, position, strength, sigma, sigma_pixel, valid, q, self._rig.motion, sheets)
+        return RangeImage(points, position, strength, sigma, sigma_pixel, valid, q, self._rig.motion, (self._light,))
 
 
 def _miscoloured(laser: StripeSettings, frames: Frames, found: RangeImage) -> list[str]:

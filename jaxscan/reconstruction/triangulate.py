@@ -11,7 +11,6 @@ coordinates share would be a pass of its own. The inverse of the lens is a polyn
 no iteration.
 """
 
-from collections.abc import Sequence
 from functools import partial
 
 import equinox as eqx
@@ -22,13 +21,13 @@ from jaxtyping import Array, Float
 
 from jaxscan.images.stripes.stripe import u_and_v
 from jaxscan.kept_programs import compiled
-from jaxscan.precision import Leaf, float64
+from jaxscan.precision import Leaves, float64
 from jaxscan.reconstruction.field_inverse import FieldInverse
 from jaxscan.reconstruction.lens_inverse import FittedInverse, TiltedInverse, lens_inverse
 from jaxscan.reconstruction.opencv_inverse import LensInverse
 from jaxscan.rig import Light, Motion, Positions, Rig
 from jaxscan.rig.chart import FLAT, Chart
-from jaxscan.rig.light import nameless
+from jaxscan.rig.light import in_the_middle, nameless
 
 
 class Kernel(eqx.Module):
@@ -50,7 +49,7 @@ class Kernel(eqx.Module):
 
     @staticmethod
     def create(rig: Rig, light: str = "", dtype: str = "float32") -> "Kernel":
-        """The kernel of one light of a rig.
+        """The kernel of one light of a rig; of one that moves, where it stands in the middle of its travel.
 
         Raises:
             InputError: the rig has no such light, or the inverse of its lens is no smooth function over the image.
@@ -60,22 +59,22 @@ class Kernel(eqx.Module):
             np.stack(camera.principal),
             1 / np.stack(camera.focal),
             lens_inverse(camera),
-            jax.tree.map(lambda leaf: np.tile(np.asarray(leaf), 3), nameless(rig.light(light))),
+            jax.tree.map(lambda leaf: np.tile(np.asarray(leaf), 3), nameless(in_the_middle(rig.light(light)))),
         )
         # NumPy converts them: JAX would load a program for each shape.
         return Kernel(*jax.tree.map(lambda array: jnp.asarray(np.asarray(array, dtype)), arrays), chart=camera.chart)
 
-    def with_lights(self, lights: Sequence[Light]) -> "Kernel":
+    def with_lights(self, lights: Light) -> "Kernel":
         """The same camera, and a light that stands elsewhere in each frame.
 
         Args:
-            lights: one for each frame, all of one kind.
+            lights: a stack of them, one for each frame: each of its numbers is an array.
         """
 
-        def of_frames(*leaves: Leaf) -> Float[Array, "frames 3"]:
-            return jnp.asarray(np.repeat(np.stack(leaves)[:, None], 3, axis=1), self.principal.dtype)
+        def of_frames(leaf: Leaves) -> Float[Array, "frames 3"]:
+            return jnp.asarray(np.repeat(np.asarray(leaf, self.principal.dtype)[:, None], 3, axis=1))
 
-        return eqx.tree_at(lambda kernel: kernel.light, self, jax.tree.map(of_frames, *map(nameless, lights)))
+        return eqx.tree_at(lambda kernel: kernel.light, self, jax.tree.map(of_frames, nameless(lights)))
 
     def point(
         self, light: Light, u: Float[Array, ""], v: Float[Array, ""], A: Float[Array, "3 3"], b: Float[Array, "3"]

@@ -71,7 +71,7 @@ def working_volumes(calibration: Calibration) -> tuple[WorkingVolume, ...]:
     observations, rig = calibration.observations, calibration.rig
     volumes = []
     for i, laser in enumerate(rig.lights):
-        points = calibration.stripe_points(i)
+        points, _ = calibration.stripe_points(i)
         if not len(points):
             continue
         columns = next(s.columns for view in observations.photographs() for s in view.stripes if s.laser == i)

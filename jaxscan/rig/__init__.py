@@ -8,7 +8,7 @@ from jaxscan.rig.given_poses import CARRIED_BY, HeadPoses, ObjectPoses, given_po
 from jaxscan.rig.guide import Guide, Screw, ScrewOnGuide
 from jaxscan.rig.kinds import LENSES, LIGHTS, MOTIONS, register_lens, register_light, register_motion
 from jaxscan.rig.lens import Lens
-from jaxscan.rig.light import Light
+from jaxscan.rig.light import Light, MovingLight
 from jaxscan.rig.light_plane import LightPlane
 from jaxscan.rig.linear import Linear
 from jaxscan.rig.motion import AxisMotion, Chain, Fixed, Motion, Positions, motion_of
@@ -16,6 +16,7 @@ from jaxscan.rig.play import played_axes, run_of, runs
 from jaxscan.rig.pose_range import PoseRange
 from jaxscan.rig.rig import Rig
 from jaxscan.rig.rotary import Rotary
+from jaxscan.rig.swept_sheet import SweptSheet
 from jaxscan.rig.system import System
 
 __all__ = [
@@ -37,6 +38,7 @@ __all__ = [
     "LightPlane",
     "Linear",
     "Motion",
+    "MovingLight",
     "ObjectPoses",
     "PoseRange",
     "Positions",
@@ -44,6 +46,7 @@ __all__ = [
     "Rotary",
     "Screw",
     "ScrewOnGuide",
+    "SweptSheet",
     "System",
     "given_poses",
     "motion_of",

@@ -16,9 +16,10 @@ from jaxscan.rig.opencv_lens import LADDER
 from jaxscan.rig.play import GuideWithPlay, LinearWithPlay, RotaryWithPlay, ScrewOnGuideWithPlay, ScrewWithPlay
 from jaxscan.rig.rotary import Rotary
 from jaxscan.rig.splined import Splined
+from jaxscan.rig.swept_sheet import SweptSheet
 
 LENSES: Final[dict[str, type[Lens]]] = {**LADDER, Fisheye.kind: Fisheye, Splined.kind: Splined}
-LIGHTS: Final[dict[str, type[Light]]] = {kind.kind: kind for kind in (LightPlane, BowedSheet)}
+LIGHTS: Final[dict[str, type[Light]]] = {kind.kind: kind for kind in (LightPlane, BowedSheet, SweptSheet)}
 # From the room to the object: lines carry turns.
 _LINES: Final = (Linear, Guide, Screw, ScrewOnGuide, LinearWithPlay, GuideWithPlay, ScrewWithPlay, ScrewOnGuideWithPlay)
 MOTIONS: Final[dict[str, type[AxisMotion]]] = {

@@ -4,18 +4,18 @@ Which kinds there are is listed in `rig.kinds`. What a kind says of itself is it
 ray; all else that is asked of a sheet, in residuals, pictures and reports, is made of these here.
 """
 
-from collections.abc import Mapping
-from typing import ClassVar, Protocol, runtime_checkable
+from collections.abc import Iterable, Mapping
+from typing import Any, ClassVar, Protocol, TypeGuard, runtime_checkable
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, Float, Float64, Int
+from jaxtyping import Array, ArrayLike, Float, Float64, Int, Real
 
 from jaxscan.geometry.rotation import A, namespace
 from jaxscan.kept_programs import compiled
-from jaxscan.precision import as_float64, as_numpy, batches_of, float64
+from jaxscan.precision import Leaf, as_float64, as_numpy, batches_of, float64
 
 # Newton's steps onto a sheet that is not flat; a flat one takes one.
 _STEPS = 5
@@ -77,6 +77,63 @@ class Light(Protocol):
     def fault(self, rays: Float[np.ndarray, "rays 3"]) -> tuple[str, str] | None:
         """What is wrong with it for a camera with these rays: the number's name, and the fault with its fix."""
         ...
+
+
+@runtime_checkable
+class MovingLight(Light, Protocol):
+    """A light that an axis of its own moves. Asked without a position, it stands in the middle of its travel.
+
+    Attributes:
+        axis: the name of its axis.
+        middle: of its travel, motor steps; one of its numbers, which is given.
+    """
+
+    axis: str
+    middle: tuple[Leaf]
+
+    @classmethod
+    def fitted(
+        cls,
+        points: Float[np.ndarray, "points 3"],
+        view: Int[np.ndarray, "points"],
+        name: str = "",
+        positions: Float[np.ndarray, "points"] | None = None,
+        axis: str = "",
+    ) -> "MovingLight":
+        """As `Light.fitted`, with the position of its axis, motor steps, at which each point was seen."""
+        ...
+
+    def at(self, position: ArrayLike) -> Light:
+        """The light at positions of its axis, motor steps: one, or a stack of them."""
+        ...
+
+    def direction(self) -> Float[np.ndarray, "3"]:
+        """Unit vector of its travel, or of its axis."""
+        ...
+
+    def amount(self, steps: float) -> tuple[float, str]:
+        """How far `steps` motor steps move it, and the unit: mm or degrees."""
+        ...
+
+
+def moves(kind: type[Any]) -> TypeGuard[type[MovingLight]]:
+    """Whether lights of a kind are moved by an axis of their own."""
+    return hasattr(kind, "at")
+
+
+def stood(light: Light, position: ArrayLike) -> Light:
+    """A light where it stands at positions of the axis that moves it, motor steps; itself where none does."""
+    return light.at(position) if isinstance(light, MovingLight) else light
+
+
+def in_the_middle(light: Light) -> Light:
+    """A light where it stands in the middle of its travel; itself where nothing moves it."""
+    return light.at(np.float64(light.middle[0])) if isinstance(light, MovingLight) else light
+
+
+def light_at(light: Light, q: Mapping[str, Any]) -> Light:
+    """A light where it stands at positions of the axes, motor steps; itself where its axis is not named."""
+    return light.at(q[light.axis]) if isinstance(light, MovingLight) and light.axis in q else light
 
 
 def meet(light: Light, ray: Float[Array, "3"]) -> Float[Array, "3"]:
@@ -153,6 +210,7 @@ def turned_and_moved(
     first: Float[np.ndarray, "numbers"],
     last: Float[np.ndarray, "numbers"],
     points: Float[np.ndarray, "points 3"],
+    positions: Float[np.ndarray, "points"] | float = 0.0,
 ) -> tuple[float, float]:
     """How far a sheet goes when its numbers change, where points (camera frame, mm) are: degrees, and mm (RMS).
 
@@ -161,9 +219,10 @@ def turned_and_moved(
         first: added to its numbers, where it was.
         last: added to its numbers, where it is now.
         points: near it.
+        positions: of the axis that moves it at each, motor steps, where one does.
     """
     numbers, unravel = ravel_pytree(as_numpy(light))
-    was, now = (as_numpy(unravel(jnp.asarray(numbers + by))) for by in (first, last))
+    was, now = (stood(as_numpy(unravel(jnp.asarray(numbers + by))), positions) for by in (first, last))
     normals = [np.mean(each.gradient(points), axis=0) for each in (was, now)]
     a, b = (normal / np.linalg.norm(normal) for normal in normals)
     turn = np.degrees(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b))
@@ -175,26 +234,47 @@ def nameless(light: Light) -> Light:
     return type(light)(**{**vars(light), "name": ""})
 
 
+def light_axes(lights: Iterable[Light]) -> tuple[str, ...]:
+    """The names of the axes that move lights, each once."""
+    return tuple(dict.fromkeys(light.axis for light in lights if isinstance(light, MovingLight)))
+
+
 def inverse_depths(
-    light: Light, rays: Float[np.ndarray, "rays 3"]
+    light: Light, rays: Float[np.ndarray, "rays 3"], positions: Real[np.ndarray, "rays"] | float | None = None
 ) -> tuple[Float64[np.ndarray, "rays"], Float64[np.ndarray, "rays 3"], Float64[np.ndarray, "rays numbers"]]:
-    """The inverse depth along rays, and its derivatives by the ray and by the light's numbers."""
+    """The inverse depth along rays, and its derivatives by the ray and by the light's numbers.
+
+    Args:
+        light: the light.
+        rays: of the camera.
+        positions: of the axis that moves the light at each, motor steps; None where none does, or in the middle.
+    """
+    moves = isinstance(light, MovingLight) and positions is not None
+    each = np.broadcast_to(np.asarray(positions if moves else 0.0, np.float64), len(rays))[:, None]
     with float64():
         exact = as_float64(nameless(light))
-        parts = [[np.asarray(part) for part in _inverse_depths(exact, batch)] for batch in batches_of(rays)]
-    w, by_ray, by_numbers = (np.concatenate(part)[: len(rays)] for part in zip(*parts, strict=True))
+        batches = zip(batches_of(rays), batches_of(each), strict=True)
+        parts = [_inverse_depths(exact, some, jnp.asarray(at[:, 0]) if moves else None) for some, at in batches]
+    w, by_ray, by_numbers = (
+        np.concatenate(list(map(np.asarray, part)))[: len(rays)] for part in zip(*parts, strict=True)
+    )
     return w, by_ray, by_numbers
 
 
 @compiled(filtered=True)
 def _inverse_depths(
-    light: Light, rays: Float[Array, "batch 3"]
+    light: Light, rays: Float[Array, "batch 3"], positions: Float[Array, "batch"] | None
 ) -> tuple[Float[Array, "batch"], Float[Array, "batch 3"], Float[Array, "batch numbers"]]:
     numbers, unravel = ravel_pytree(light)
 
-    def inverse_depth(ray: Float[Array, "3"], numbers: Float[Array, "numbers"]) -> Float[Array, ""]:
-        return unravel(numbers).inverse_depth(ray)
+    def inverse_depth(
+        ray: Float[Array, "3"], numbers: Float[Array, "numbers"], position: Float[Array, ""] | None
+    ) -> Float[Array, ""]:
+        light = unravel(numbers)
+        return (light if position is None else stood(light, position)).inverse_depth(ray)
 
     both = jax.value_and_grad(inverse_depth, argnums=(0, 1))
-    w, (by_ray, by_numbers) = jax.vmap(both, in_axes=(0, None))(rays, numbers)
+    w, (by_ray, by_numbers) = jax.vmap(both, in_axes=(0, None, None if positions is None else 0))(
+        rays, numbers, positions
+    )
     return w, by_ray, by_numbers

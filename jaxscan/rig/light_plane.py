@@ -11,7 +11,7 @@ from jaxtyping import Array, ArrayLike, Float, Int
 from jaxscan.errors import ObservabilityError
 from jaxscan.geometry.robust_plane import planes_through, refined_plane
 from jaxscan.geometry.rotation import A, namespace
-from jaxscan.precision import Leaf
+from jaxscan.precision import Leaves
 from jaxscan.rig.readable import Readable
 
 # A sheet nearer to the centre of projection than this (mm) is seen edge on: its depth is lost in rounding.
@@ -22,7 +22,7 @@ _SAMPLE = 500
 
 
 class LightPlane(Readable):
-    """The points X of the camera frame with ω · X = 1.
+    """The points X of the camera frame with ω · X = 1; or a stack of such planes, whose numbers are arrays.
 
     Attributes:
         plane: the three components of ω, 1/mm.
@@ -33,7 +33,7 @@ class LightPlane(Readable):
     numbers: ClassVar[Mapping[str, int]] = {"plane": 3}
     units: ClassVar[Mapping[str, str]] = {"plane": "1/mm"}
 
-    plane: tuple[Leaf, Leaf, Leaf]
+    plane: tuple[Leaves, Leaves, Leaves]
     name: str = eqx.field(static=True, default="")
 
     @staticmethod
@@ -84,7 +84,7 @@ class LightPlane(Readable):
     def gradient(self, point: Float[A, "*points 3"]) -> Float[A, "*points 3"]:
         """ω."""
         xp = namespace(point, *self.plane)
-        return xp.broadcast_to(xp.stack([xp.asarray(leaf) for leaf in self.plane]), point.shape)
+        return xp.broadcast_to(xp.stack([xp.asarray(leaf) for leaf in self.plane], axis=-1), point.shape)
 
     def inverse_depth(self, ray: Float[A, "*rays 3"]) -> Float[A, "*rays"]:
         """ω · x."""

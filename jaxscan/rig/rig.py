@@ -16,7 +16,7 @@ from jaxscan.kept_programs import compiled
 from jaxscan.precision import as_float64, float64
 from jaxscan.rig.batches import over_batch
 from jaxscan.rig.camera import Camera
-from jaxscan.rig.light import Light, meet
+from jaxscan.rig.light import Light, MovingLight, light_at, light_axes, meet
 from jaxscan.rig.motion import AxisMotion, Fixed, Motion, Positions, motion_of, normal_motion
 from jaxscan.rig.play import ScrewOnGuideWithPlay
 from jaxscan.rig.readable import Readable
@@ -95,7 +95,23 @@ class Rig(Readable):
         names = parameter_names(self)
         stems = [f"motion.{part.axis}.{name}." for part in self.motion.parts() for name in getattr(part, "given", ())]
         stems += [f"camera.{name}." for name in getattr(self.camera.lens, "given", ())]
+        stems += [f"lights.{i}.{name}." for i, light in enumerate(self.lights) for name in getattr(light, "given", ())]
         return {name for name in names if name.startswith(tuple(stems))}
+
+    def light_axis(self, name: str) -> MovingLight:
+        """The light that an axis moves, the first of several.
+
+        Raises:
+            InputError: it moves none.
+        """
+        moved = [light for light in self.lights if isinstance(light, MovingLight) and light.axis == name]
+        if not moved:
+            raise InputError(f'no light of the rig is moved by an axis "{name}"')
+        return moved[0]
+
+    def with_lights_at(self, q: Positions) -> "Rig":
+        """The same rig with lights that stand where those that move are at positions of the axes, motor steps."""
+        return Rig(self.camera, tuple(light_at(light, q) for light in self.lights), self.motion)
 
     def pose(self, q: Positions) -> Pose:
         """T_camera_object at positions of the axes (motor steps); one that is not named stands at 0."""
@@ -106,7 +122,7 @@ class Rig(Readable):
 
         Axes beside the rig's own, of a scanner that has more, may be named.
         """
-        own = [part.axis for part in self.motion.parts()]
+        own = [*(part.axis for part in self.motion.parts()), *light_axes(self.lights)]
         has = f"this rig's axes: {', '.join(own)}" if own else "this rig has none"
         if not isinstance(q, Mapping):
             raise InputError(
@@ -135,9 +151,13 @@ class Rig(Readable):
         """
         sheet = self.light(light)
         self._check_axes(q)
+        if isinstance(sheet, MovingLight) and sheet.axis not in q:
+            raise InputError(
+                f'the light is moved by the axis "{sheet.axis}": give its position among those of the axes'
+            )
 
         def one(pixel: Array, q: Positions) -> Array:
-            return self.pose(q).inverse().apply(meet(sheet, self.camera.ray(pixel)))
+            return self.pose(q).inverse().apply(meet(light_at(sheet, q), self.camera.ray(pixel)))
 
         batch = np.shape(pixel)[:-1]
         if batch:

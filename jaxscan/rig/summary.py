@@ -19,6 +19,7 @@ from jaxscan.rig.line import Line
 from jaxscan.rig.motion import AxisMotion
 from jaxscan.rig.rig import Rig
 from jaxscan.rig.rotary import Rotary
+from jaxscan.rig.swept_sheet import SweptSheet
 from jaxscan.rig.turn_summary import turn_summary
 
 Summary = dict[str, Any]
@@ -75,7 +76,18 @@ def axis_summary(rig: Rig, covariance: Covariance | None) -> list[Summary]:
 def _of_light_kind(
     stem: str, light: Light, covariance: Covariance | None, rays: Float[np.ndarray, "rays 3"]
 ) -> Summary:
-    """How far a bowed sheet is off its plane at the ends of 200 mm, at the depth where it is seen in the middle."""
+    """How far a bowed sheet is off its plane at the ends of 200 mm, at the depth where it is seen in the middle.
+
+    Of one that moves how far it does, and about which axis.
+    """
+    if isinstance(light, SweptSheet):
+        degrees = light.amount(1000.0)[0]
+        return {
+            "axis": light.axis,
+            "degrees_per_1000_steps": degrees,
+            "about": light.direction().tolist(),
+            "middle_steps": float(light.middle[0]),
+        }
     w, _, _ = inverse_depths(light, rays[len(rays) // 2][None])
     if not isinstance(light, BowedSheet) or not w[0] > 0:
         return {}

@@ -71,13 +71,13 @@ def true_profile(
     """
     lighting = lighting or Lighting()
     q = {axis: np.float64(steps) for axis, steps in (q or {}).items()}
-    here = carried(rig, scene, q)
+    here, lit = carried(rig, scene, q), rig.with_lights_at(q)
     back = as_numpy(rig.pose(q)).inverse()
     ray = _line_rays(rig.camera, columns)
     n_lines = ray.x.shape[1]
     coarse = here.cast(np.float32)
     depth = kernels.depth_of(coarse, ray)
-    g = np.asarray(kernels.sheet_distance(sheet_of(rig, laser, lighting), ray, depth))
+    g = np.asarray(kernels.sheet_distance(sheet_of(lit, laser, lighting), ray, depth))
     fine_row, line = np.nonzero((g[:-1] < 0) != (g[1:] < 0))
     profile = Profile(np.full(n_lines, np.nan), np.full((n_lines, 3), np.nan))
     if not len(line):
@@ -93,7 +93,7 @@ def true_profile(
     before = np.pad(g[fine_row, line] < 0, (0, size - len(line)))
     with float64():
         seen = sight_of(rig.camera, rays)
-        found = _halve(here.cast(np.float64), sheet_of(rig, laser, lighting, np.float64), seen, before)
+        found = _halve(here.cast(np.float64), sheet_of(lit, laser, lighting, np.float64), seen, before)
     s, point, brightness = (array[: len(line)] for array in found)
     rows = position[0] + s * (position[2] - position[0])
     order = np.argsort(brightness)

@@ -20,7 +20,7 @@ from jaxscan.precision import as_numpy
 from jaxscan.rig import Camera, LightPlane, Positions, Rig
 from jaxscan.rig import Light as SheetOfLight
 from jaxscan.rig.chart import FLAT
-from jaxscan.rig.light import nameless
+from jaxscan.rig.light import light_axes, nameless
 from jaxscan.rig.projection import pixel_rays
 from jaxscan.simulation import kernels
 from jaxscan.simulation.kernels import CHUNK, FINE, Light, Sheet, Sight
@@ -69,7 +69,8 @@ def render(
     lighting, sensor = lighting or Lighting(), sensor or Sensor()
     random = np.random.default_rng(seed)
     moments = [carried(rig, each, q or {}) for each in ([scene] if isinstance(scene, Scene) else scene)]
-    light, sheet = _light(lighting), None if laser is None else sheet_of(rig, laser, lighting)
+    light, lit = _light(lighting), rig.with_lights_at(q or {})
+    sheet = None if laser is None else sheet_of(lit, laser, lighting)
     grainy = sheet is not None and lighting.speckle > 0
     ray = fine_rays(rig.camera)
     apart = grainy or (sheet is not None and lighting.ghost > 0)
@@ -100,6 +101,7 @@ def carried(rig: Rig, scene: Scene, q: Positions) -> Scene:
     Raises:
         InputError: the rig has no axis of that name, although it does not stand at 0.
     """
+    q = {axis: steps for axis, steps in q.items() if axis not in light_axes(rig.lights)}
     if not any(q.values()):
         return scene
     for axis in q:

@@ -60,8 +60,8 @@ def albedo(
     """
     if not image.sheets:
         raise InputError("the light in which the scan was taken is not known, so that its albedo is not: reconstruct")
-    sheet, at = image.sheets[0], image.from_camera()
-    source = laser_place(sheet) if laser is None else np.asarray(laser, np.float64)
+    (sheet, *_), at = image.sheets_in_frames(), image.from_camera()
+    source = laser_place(image.sheets[0]) if laser is None else np.asarray(laser, np.float64)
     n = smooth_normals(image, links(image, sampling(image)))
     points, seen = image.points.astype(np.float64), image.seen()
     to_laser = (at.matrix() @ source + at.translation)[:, None] - points

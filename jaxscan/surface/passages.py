@@ -76,5 +76,5 @@ def _rate(image: RangeImage) -> Float[np.ndarray, "frames columns"]:
         return as_numpy(image.motion.pose(q)).apply(np.asarray(image.points, np.float64))
 
     before, after = seen(-1.0), seen(1.0)
-    (sheet,) = image.sheets
+    (sheet,) = image.sheets_in_frames()
     return (np.asarray(sheet.gradient(image.seen())) * (after - before)).sum(axis=-1) / 2

@@ -197,7 +197,7 @@ def _sheet_normal(
 
     Range images of older files do not have their light: there it is the plane through all points.
     """
-    for sheet in image.sheets:
+    for sheet in image.sheets_in_frames():
         return np.asarray(sheet.gradient(seen))
     normal = np.linalg.lstsq(seen[image.valid], np.ones(int(image.valid.sum())), rcond=None)[0]
     return None if np.abs(seen[image.valid] @ normal - 1).max() > _OFF_SHEET else normal

@@ -159,9 +159,10 @@ def test_another_rig_does_not_compile_again():
 TURNED = Rotary.create([0.0, 2e-3, 1e-4], [3.0, 4.0, 300.0])
 
 
-def swept(count: int) -> list[LightPlane]:
-    """A plane that a mirror turns, one for each frame."""
-    return [LightPlane.create([1e-5 * c, -0.00494, c]) for c in np.linspace(0.0025, 0.0035, count)]
+def swept(count: int) -> LightPlane:
+    """A plane that a mirror turns: a stack of them, one for each frame."""
+    c = np.linspace(0.0025, 0.0035, count)
+    return LightPlane((1e-5 * c, np.full(count, -0.00494), c))
 
 
 @pytest.mark.parametrize("motion", ["stage", "turntable", "both", "light"])
@@ -218,8 +219,8 @@ def test_a_light_that_moves_stands_elsewhere_in_each_frame():
     u, v = random.uniform(0, 639, (20, 30)), random.uniform(0, 300, (20, 30))
     frames = FramePoses.create(rig.motion, q, 20)
     found = np.asarray(triangulate(Kernel.create(rig).with_lights(lights), frames, jnp.asarray(u), jnp.asarray(v)))
-    for i, light in enumerate(lights):
-        one = Kernel.create(replace(rig, lights=(light,)))
+    for i, omega in enumerate(np.stack(lights.plane, axis=-1)):
+        one = Kernel.create(replace(rig, lights=(LightPlane.create(omega),)))
         alone = triangulate(
             one,
             FramePoses.create(rig.motion, {"stage": q["stage"][i]}, 1),

@@ -287,6 +287,5 @@ def _size(step: _Step, calibration: Calibration) -> tuple[tuple[float, float], s
         light = calibration.rig.lights[kind.which]
         # From where it was first to where it was last.
         first = kind.D.T @ step.moved
-        X = calibration.stripe_points(kind.which)
-        return turned_and_moved(light, first, first + numbers, X), light.name
+        return turned_and_moved(light, first, first + numbers, *calibration.stripe_points(kind.which)), light.name
     return (float(np.degrees(np.linalg.norm(numbers[:3]))), float(np.linalg.norm(numbers[3:]))), ""

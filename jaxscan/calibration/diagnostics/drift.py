@@ -120,5 +120,5 @@ def _size(course: _Course, calibration: Calibration) -> tuple[float, str]:
         return 100 * float(delta[0]), ""
     if kind.name == "image":
         return float(np.linalg.norm(delta)), ""
-    light, X = calibration.rig.lights[kind.which], calibration.stripe_points(kind.which)
-    return turned_and_moved(light, -delta / 2, delta / 2, X)[1], light.name
+    light, points = calibration.rig.lights[kind.which], calibration.stripe_points(kind.which)
+    return turned_and_moved(light, -delta / 2, delta / 2, *points)[1], light.name

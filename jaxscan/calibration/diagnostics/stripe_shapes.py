@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from jaxscan.calibration.on_board import meet_board, pose_of
 from jaxscan.calibration.result import Calibration
-from jaxscan.rig.light import distance
+from jaxscan.rig.light import distance, stood
 
 _FEWEST_POINTS = 20
 # The running mean is over this share of a stripe's points.
@@ -81,7 +81,7 @@ def stripe_shapes(calibration: Calibration) -> tuple[StripeShape, ...]:
                 continue
             pixels = stripe.pixels[kept]
             X = meet_board(calibration.rig.camera, pose_of(poses, i), pixels, bent[i] if bent else None)[0]
-            light = calibration.rig.lights[stripe.laser]
+            light = stood(calibration.rig.lights[stripe.laser], stripe.position)
             along = pixels[:, 0 if stripe.columns else 1]
             shapes.append(shape(view.name, light.name, along, distance(light, X), float(np.median(X[:, 2]))))
     return tuple(sorted(shapes, key=lambda s: -s.bend_mm))

@@ -65,7 +65,8 @@ def detect_stripe(
         choice: which is taken where there are several in a line.
         count: how many of the images are looked at, the first ones; all by default. A buffer that keeps its size and
             is not always full compiles nothing again.
-        band: the first and the last row (or column) of each line at which there can be a stripe; everywhere by default.
+        band: the first and the last row (or column) of each line at which there can be a stripe, of all images
+            alike or of each; everywhere by default.
 
     Returns:
         The stripe in the first `count` images.
@@ -93,7 +94,7 @@ def detect_stripe(
                 detector,
                 choice,
                 min(count - begin, length),
-                band,
+                band if band is None or band[0].ndim == 1 else (band[0][some], band[1][some]),
             )
         return found if first == begin else found[inner]
 

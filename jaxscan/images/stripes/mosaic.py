@@ -140,6 +140,8 @@ def of_mosaics(
         all_of_them = np.resize(which, len(frames))
         beside = None if dark is None else np.asarray(dark[:, *here])
         beside = beside if beside is None or alone else beside[all_of_them]
+        if lines is not None and lines[0].ndim > 1:
+            lines = (lines[0][all_of_them], lines[1][all_of_them])
         return detect(np.asarray(frames[:, *here])[all_of_them], beside, count=len(which), band=lines, mosaic=mosaic)
 
     for parity in np.unique(native):
@@ -150,7 +152,7 @@ def of_mosaics(
             continue
         halves = []
         for of in (0, 1):
-            lines = None if band is None else ((band[0][of::2] - parity) / 2, (band[1][of::2] - parity) / 2)
+            lines = None if band is None else ((band[0][..., of::2] - parity) / 2, (band[1][..., of::2] - parity) / 2)
             halves.append(part(which, half_of(columns, parity, of), True, lines))
         found.append(_interleaved(halves, parity))
     back = np.argsort(np.concatenate(order))

@@ -37,7 +37,8 @@ _WEAK, _FAINT = 4.0, 2.0
 # Frame, line and row of each place.
 Places = tuple[Int[np.ndarray, "some"], ...]
 # The first and the last row at which the stripe can be in each line.
-Band = tuple[Float[np.ndarray, "lines"], Float[np.ndarray, "lines"]]
+# Of all frames alike, or of each.
+Band = tuple[Float[np.ndarray, "*frames lines"], Float[np.ndarray, "*frames lines"]]
 # Of a frame, and of rows in some of its lines.
 RisesAlone = Callable[[int, Int[np.ndarray, "some"], Int[np.ndarray, "some"]], Bool[np.ndarray, "some"]]
 # Of a frame, in some of its lines.
@@ -95,13 +96,13 @@ class MeasuredFrames:
         )
 
     def within(
-        self, line: Int[np.ndarray, "*some"], position: Float[np.ndarray, "*of some"]
+        self, frame: Int[np.ndarray, "*of one"], line: Int[np.ndarray, "*some"], position: Float[np.ndarray, "*of some"]
     ) -> Bool[np.ndarray, "*of some"]:
-        """Whether positions in some lines lie in the band."""
+        """Whether positions in some lines of some frames lie in the band."""
         if self.band is None:
             return np.ones(position.shape, bool)
-        low, high = self.band
-        return (position >= low[line]) & (position <= high[line])
+        low, high = (edge[line] if edge.ndim == 1 else edge[frame, line] for edge in self.band)
+        return (position >= low) & (position <= high)
 
 
 def replaced(old: np.ndarray, at: np.ndarray | tuple[np.ndarray, ...], new: np.ndarray) -> np.ndarray:
@@ -134,12 +135,12 @@ def settle(
             do not show it.
     """
     shape = frames.peak.shape
-    lines = np.arange(shape[1])
+    numbers, lines = np.arange(shape[0])[:, None], np.arange(shape[1])
     measured = frames.looked.measured
     bright = measured.whole & (measured.strength > frames.least[:, None])
     if contested:
         bright &= frames.looked.near(frames.peak)
-    inside = frames.within(lines, measured.position)
+    inside = frames.within(numbers, lines, measured.position)
     found, runs = in_a_line(measured, bright & inside, frames.least)
     second = np.zeros(shape, bool)
     if contested:
@@ -204,7 +205,7 @@ def _contest(
         return
     looked = frames.look(at)
     found = looked.measured
-    good = found.whole & (found.strength > frames.least[at[0]]) & frames.within(at[1], found.position)
+    good = found.whole & (found.strength > frames.least[at[0]]) & frames.within(at[0], at[1], found.position)
     # A wide window may see again what stands out most in its line.
     again = np.abs(found.position - frames.looked.measured.position[at[:2]]) <= _NEAR_PX + found.width
     which = np.flatnonzero(good & looked.near(at[2]) & ~(again & standing[at[:2]]))
@@ -280,7 +281,7 @@ def _add_faint(frames: MeasuredFrames, verdict: Int8[np.ndarray, "frames lines"]
     """
     measured = frames.looked.measured
     here = measured.whole & (verdict == Verdict.NOTHING)
-    here &= frames.within(np.arange(verdict.shape[1]), measured.position)
+    here &= frames.within(np.arange(len(verdict))[:, None], np.arange(verdict.shape[1]), measured.position)
     places, rows = [np.empty((2, 0), np.int32)], [np.empty(0, np.float32)]
     for n in range(len(verdict)):
         found = verdict[n] == Verdict.STRIPE
@@ -303,6 +304,6 @@ def _add_faint(frames: MeasuredFrames, verdict: Int8[np.ndarray, "frames lines"]
     looked = frames.look(at)
     again = looked.measured
     good = again.whole & (again.strength > _FAINT * frames.ground[at[0]]) & near_enough(again.position, row)
-    good &= frames.within(at[1], again.position)
+    good &= frames.within(at[0], at[1], again.position)
     verdict[at[0], at[1]] = np.where(good, Verdict.STRIPE, Verdict.WEAK)
     frames.take(at, looked, np.flatnonzero(good))
