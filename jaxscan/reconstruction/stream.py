@@ -51,6 +51,7 @@ from jaxscan.reconstruction.scan_notes import (
     left_out_notes,
 )
 from jaxscan.reconstruction.sheet_band import check_depths, depths_of, sheet_band
+from jaxscan.reconstruction.sight_watch import SightWatch
 from jaxscan.reconstruction.sigma_map import MovedFrames, SigmaMap, point_sigmas
 from jaxscan.reconstruction.spacetime import Geometry, half_window, spacetime_profiles
 from jaxscan.reconstruction.spacetime_geometry import coarse_notes, spacetime_geometry
@@ -141,6 +142,7 @@ class Scanner:
         notes = [*way_notes(self._content.rig, scan), *doubts(scan.checks), *gap_notes(scan)]
         notes += [*background_notes(self._content.rig, scan), *pose_notes(self._content, scan)]
         verdicts, watch, order = np.zeros(len(Verdict), int), LightWatch(), OrderWatch(self._content.rig.motion)
+        sight = SightWatch(self._content.rig.motion)
         # Whoever stops early stops the reader too.
         with ExitStack() as to_close:
             for image, counts in self._images(laser, scan, advance, watch, notes, to_close):
@@ -149,13 +151,16 @@ class Scanner:
                 seen += int(np.isfinite(image.pixels).sum())
                 points += int(image.valid.sum())
                 order.see(image.pixels, image.positions)
+                if not self._spacetime:
+                    # Points of a moment between frames are in the sheet of none.
+                    sight.see(image)
                 yield image
         if not frames:
             raise InputError(f"{scan.path}: the scan has no frames")
         left_out = {reason: int(verdicts[verdict]) for verdict, reason in REASONS.items()}
         last = left_out_notes(left_out, points, self._depths_mm)
         last += watch.notes(scan.exposures_s is not None, bool(scan.backgrounds), scan.laser.color == "grey")
-        last += order.notes()
+        last += order.notes() + sight.notes()
         if not seen:
             raise InputError(
                 f"{scan.path}: no stripe was found in any of {frames} frames{in_another_colour(scan)}: check [laser] "
