@@ -33,6 +33,7 @@ from jaxscan.images.stripes.validity import Verdict
 from jaxscan.reconstruction.frames import Frames, frames_of, frames_of_scan, with_positions
 from jaxscan.reconstruction.light_watch import LightWatch
 from jaxscan.reconstruction.merged_steps import merged_steps, step_groups
+from jaxscan.reconstruction.odd_frames import frame_names
 from jaxscan.reconstruction.order_watch import OrderWatch
 from jaxscan.reconstruction.overlapping import overlapping
 from jaxscan.reconstruction.pose_notes import check_poses, pose_notes
@@ -160,7 +161,7 @@ class Scanner:
         left_out = {reason: int(verdicts[verdict]) for verdict, reason in REASONS.items()}
         last = left_out_notes(left_out, points, self._depths_mm)
         last += watch.notes(scan.exposures_s is not None, bool(scan.backgrounds), scan.laser.color == "grey")
-        last += order.notes() + sight.notes()
+        last += order.notes([] if self._spacetime else frame_names(scan, frames)) + sight.notes()
         if not seen:
             raise InputError(
                 f"{scan.path}: no stripe was found in any of {frames} frames{in_another_colour(scan)}: check [laser] "
