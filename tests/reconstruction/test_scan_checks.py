@@ -50,6 +50,7 @@ def test_more_than_a_turn_and_the_steps_of_another_axis(rig):
     assert way_notes(rig, scan(turntable=(*fine, TURN))) == []
     (note,) = way_notes(rig, scan(turntable=(*fine, *(TURN + n for n in fine))))
     assert "more than one full turn" in note
+    assert note.endswith("If it turned once, the steps given for each frame are wrong: a full turn is 3200")
     with pytest.raises(InputError, match=r"turntable turns by 35775 degrees, 99.4 full turns.*A full turn is 3200"):
         way_notes(rig, scan(turntable=tuple(range(0, 160 * 2000, 2000))))
 
