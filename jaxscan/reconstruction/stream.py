@@ -30,6 +30,7 @@ from jaxscan.images.stripes.brightest import miscoloured
 from jaxscan.images.stripes.coherent import HALO
 from jaxscan.images.stripes.colourless import check_colours
 from jaxscan.images.stripes.validity import Verdict
+from jaxscan.reconstruction.background_watch import BackgroundWatch
 from jaxscan.reconstruction.frames import Frames, frames_of, frames_of_scan, with_positions
 from jaxscan.reconstruction.light_watch import LightWatch
 from jaxscan.reconstruction.merged_steps import merged_steps, step_groups
@@ -269,9 +270,9 @@ class Scanner:
         kept = self._at_once if passage is None else 1
         read = frames_of_scan(longer, rig.camera.image_size, self._decoders, kept)
         read = to_close.enter_context(closing(read))
-        repeats, hot = RepeatWatch(), HotPixels(scan.laser.columns)
+        repeats, hot, shift = RepeatWatch(), HotPixels(scan.laser.columns), BackgroundWatch(longer)
         # A laser-off photograph has the hot pixels too.
-        seen = _shown(read, [repeats.see] if scan.backgrounds else [repeats.see, hot.correct])
+        seen = _shown(shift.looks_on(read), [repeats.see] if scan.backgrounds else [repeats.see, hot.correct])
         batches = self._batches(longer, seen, halo, _at_most(advance, len(scan.frames) or sys.maxsize))
         found: Iterator[tuple[RangeImage, Stripe | None]]
         if passage is None:
@@ -287,7 +288,7 @@ class Scanner:
                 watch.see(stripe[here])
                 counts = np.bincount(stripe[here].verdict.ravel(), minlength=len(Verdict))
             yield image[here, :], counts
-        notes += repeats.notes(longer.frames) + hot.notes()
+        notes += repeats.notes(longer.frames) + hot.notes() + shift.notes()
 
     def _batches(
         self, scan: Scan, read: Iterable[Frames], halo: int, advance: Callable[[int], object]
