@@ -14,6 +14,7 @@ from jaxscan.detectors import DEFAULT, Detector, check_detector
 from jaxscan.errors import InputError, error_context
 from jaxscan.files.session import Session, StageImages, TurntableImages
 from jaxscan.files.settings import relative_name
+from jaxscan.files.text_order import text_order_note
 from jaxscan.geometry import Pose
 from jaxscan.images import (
     Board,
@@ -123,7 +124,7 @@ def observe(
         for stripe in seen.stripes:
             if not np.isfinite(stripe.pixels).any():
                 left_out.append(f"{seen.name}: no {_stripe_of(session.lasers[stripe.laser])} was found")
-    notes = []
+    notes = _in_text_order(session)
     twice = [p.name for p in (*photographs, *staged) if p.second_board]
     if twice:
         notes.append(
@@ -152,6 +153,15 @@ def observe(
         radius_mm=_radius(session.board, [p.found for p in (*photographs, *staged) if p.found is not None]),
         hand=_hand(session),
     )
+
+
+def _in_text_order(session: Session) -> list[str]:
+    """Which sequences list their photographs in alphabetical order; views have no order."""
+    each = [
+        text_order_note(f"[{axis}] images", sequence.images, [sequence.steps])
+        for axis, sequence in session.sequences.items()
+    ]
+    return [note for note in each if note is not None]
 
 
 def _hand(session: Session) -> HandSettings | None:

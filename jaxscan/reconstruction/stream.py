@@ -51,6 +51,7 @@ from jaxscan.reconstruction.scan_notes import (
     gap_notes,
     in_another_colour,
     left_out_notes,
+    order_notes,
 )
 from jaxscan.reconstruction.sheet_band import check_depths, depths_of, sheet_band
 from jaxscan.reconstruction.sight_watch import SightWatch
@@ -141,7 +142,7 @@ class Scanner:
         check_lines(self._content.rig, scan.laser, f"{scan.path}: [laser] columns = {str(scan.laser.columns).lower()}")
         frames = seen = points = 0
         self.notes, self.left_out = [], {}
-        notes = [*way_notes(self._content.rig, scan), *doubts(scan.checks), *gap_notes(scan)]
+        notes = [*way_notes(self._content.rig, scan), *doubts(scan.checks), *gap_notes(scan), *order_notes(scan)]
         notes += [*background_notes(self._content.rig, scan), *pose_notes(self._content, scan)]
         verdicts, watch, order = np.zeros(len(Verdict), int), LightWatch(), OrderWatch(self._content.rig.motion)
         sight = SightWatch(self._content.rig.motion)
