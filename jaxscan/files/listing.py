@@ -84,14 +84,14 @@ def common_size(paths: Sequence[Path], to_their_ends: bool = False) -> tuple[int
 def turned(size: tuple[int, int], expected: tuple[int, int]) -> str:
     """What is said of a photograph whose columns and rows are exchanged; empty where they are not.
 
-    What EXIF says of a photograph's orientation is left alone when it is read: another program has turned the pixels.
+    What EXIF says of a photograph's orientation is not read: it would move the pixels under the rig.
     """
     if size == expected or size != expected[::-1]:
         return ""
     return (
-        "it is turned by a quarter, as programs do with photographs of a phone that was held upright (EXIF "
-        "orientation). Take the photographs as the camera wrote them, or turn these back with "
-        "jpegtran -rotate 90 or 270, whichever makes them look like the others"
+        "it is turned by a quarter, as phones and programs do by an EXIF orientation, which is not read here. Take the "
+        "photographs as the camera wrote them, with the orientation locked, or turn these back: jpegtran -rotate 90 "
+        "or 270, whichever makes them look like those of the calibration"
     )
 
 

@@ -200,7 +200,7 @@ def wrong_size(path: Path | str, size: tuple[int, int], expected: tuple[int, int
     said = f"{path}: the photograph has {size[0]} x {size[1]} pixels, the rig was calibrated with "
     said += f"{expected[0]} x {expected[1]}: "
     if quarter := turned(size, expected):
-        return f"{said}{quarter} of the calibration"
+        return said + quarter
     return f"{said}use the rig of this camera, at the size it was calibrated for" + (
         smaller if size[0] <= expected[0] and size[1] <= expected[1] else ""
     )

@@ -120,5 +120,5 @@ def test_photographs_of_a_part_of_the_sensor_are_refused_with_the_way_to_read_th
     )
     assert "subtract the region's first column and row from principal; for binned pixels" in said((512, 384))
     assert said((2048, 700)).endswith("at the size it was calibrated for")
-    assert "it is turned by a quarter, as programs do with photographs of a phone that" in said((768, 1024))
-    assert said((768, 1024)).endswith("makes them look like the others of the calibration")
+    assert "it is turned by a quarter, as phones and programs do by an EXIF" in said((768, 1024))
+    assert said((768, 1024)).endswith("makes them look like those of the calibration")
