@@ -3,7 +3,7 @@
 from typing import Final
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from jaxscan.calibration.initial import homographies
 from jaxscan.images import Board
@@ -31,7 +31,7 @@ def board_band(
         reaches behind the camera.
     """
     points = board.points()[:, :2]
-    seen: Bool[np.ndarray, "corners"] = np.isfinite(corners).all(axis=1)
+    seen = np.isfinite(corners[:, 0]) & np.isfinite(corners[:, 1])
     H = homographies(points, corners[None], seen[None])[0]
     again = _mapped(H, points[seen])
     side = np.linalg.norm(_mapped(H, points[seen] + [board.pitch_mm, 0.0]) - again, axis=1)

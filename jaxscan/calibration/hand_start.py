@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from jaxscan.calibration.hand_eye import Fit, Motion, Seen, median_lengths
 from jaxscan.calibration.initial import usual_rotation
 from jaxscan.errors import InputError
-from jaxscan.files.pose_table import misread
+from jaxscan.files.pose_table import misread, transposed
 from jaxscan.geometry import Pose, matrix_to_vector, vector_to_matrix
 
 # Less is no turn, rad.
@@ -51,7 +51,7 @@ def hand_start(kind: type[Motion], seen: Seen, half_turn_mm: Float[np.ndarray, "
         fit, seen = _either_way_round(kind, seen, half_turn_mm)
     if (off := _off(kind, seen, fit)) <= 1.0:
         return fit, seen
-    for words, given in misread(seen.given):
+    for words, given in (*misread(seen.given), transposed(seen.given)):
         as_meant = replace(seen, given=given)
         if _off(kind, as_meant, _start(kind, as_meant)) < _CLEARLY * min(off, 1 / _CLEARLY):
             raise InputError(f"the given poses do not go with the photographs, but they do {words}")

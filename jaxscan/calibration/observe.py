@@ -16,6 +16,7 @@ from jaxscan.errors import InputError, error_context
 from jaxscan.files.session import Session, StageImages, TurntableImages
 from jaxscan.files.session_sweeps import Sweep
 from jaxscan.files.settings import relative_name
+from jaxscan.files.text_order import text_order_note
 from jaxscan.geometry import Pose
 from jaxscan.images import (
     Board,
@@ -129,7 +130,7 @@ def observe(
                 laser = session.lasers[stripe.laser]
                 at = f" at step {stripe.position:g}" if laser.name in session.light_axes else ""
                 left_out.append(f"{seen.name}: no {_stripe_of(laser)} was found{at}")
-    notes = []
+    notes = _in_text_order(session)
     twice = [p.name for p in (*photographs, *staged) if p.second_board]
     if twice:
         notes.append(
@@ -159,6 +160,15 @@ def observe(
         hand=_hand(session),
         light_axes=dict(session.light_axes),
     )
+
+
+def _in_text_order(session: Session) -> list[str]:
+    """Which sequences list their photographs in alphabetical order; views have no order."""
+    each = [
+        text_order_note(f"[{axis}] images", sequence.images, [sequence.steps])
+        for axis, sequence in session.sequences.items()
+    ]
+    return [note for note in each if note is not None]
 
 
 def _hand(session: Session) -> HandSettings | None:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from jaxscan.cli.camera_options import add_camera_arguments
+from jaxscan.cli.options import check_outputs
 from jaxscan.errors import InputError
 from jaxscan.files.formats import ENDINGS, FORMATS, format_to_write
 from jaxscan.files.table import PassedOverWarning
@@ -25,9 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> dict[str, Any]:
     """Read, say what the other format does not take, and write."""
     form = format_to_write(args.target, args.format)
-    from jaxscan.atomic import check_writable
-
-    check_writable(args.target)
+    check_outputs([args.target], inputs=[args.source])
     from jaxscan.cli.summary import camera_summary
     from jaxscan.files.cameras import format_of, lost, read_camera_file, write_camera_file
 

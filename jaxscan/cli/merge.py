@@ -59,6 +59,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "z), or .conf of the Stanford scans",
     )
     parser.add_argument(
+        "--as-given",
+        action="store_true",
+        help="leave the scans where --poses or --steps put them, or else, as with --turn 0, where they are: for two "
+        "lasers of one rig, and for what is round or flat and slides; the report says how they fit",
+    )
+    parser.add_argument(
         "--fit-turntable",
         type=_some,
         metavar="N",
@@ -87,28 +93,34 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
 
     keep_compiled()
     from jaxscan.cli.progress import progress, step
+    from jaxscan.geometry import Pose
     from jaxscan.surface.coarse_register import check_fits, check_turned, coarse_register
     from jaxscan.surface.free_space import check_free_space
     from jaxscan.surface.merged import merge, merge_closed
-    from jaxscan.surface.register import register
+    from jaxscan.surface.register import as_given, register
 
     known, degrees = _start(args)
     with progress("reading", len(args.scans), "scan") as advance:
         sides = [_side(path, args, advance) for path in args.scans]
     with progress("registering", 3, "step") as advance:
-        starts = coarse_register(sides, degrees, known)
-        advance(1)
-        registration = register(sides, starts)
-        check_fits(sides, registration)
-        if degrees:
-            check_turned(sides, degrees, registration)
+        if args.as_given:
+            starts = list(known or [Pose.identity() for _ in sides])
+            registration = as_given(sides, starts)
+            advance(1)
+        else:
+            starts = coarse_register(sides, degrees, known)
+            advance(1)
+            registration = register(sides, starts)
+            check_fits(sides, registration)
+            if degrees:
+                check_turned(sides, degrees, registration)
         check_free_space(sides, registration.poses)
         advance(1)
         poses = registration.poses
         merged = merge_closed(sides, poses) if args.closed else merge(sides, poses, cube_mm=args.cube)
         advance(1)
     result: dict[str, Any] = {"kind": "merged", "path": [str(path) for path in args.output]}
-    result |= _registered(sides, starts, registration)
+    result |= {"as_given": args.as_given, **_registered(sides, starts, registration)}
     if args.fit_turntable:
         result["turntable"] = _turntable(args, registration)
     step("writing")
@@ -137,6 +149,15 @@ def _check(args: argparse.Namespace) -> None:
         )
     if args.steps and not args.rig:
         raise InputError("--steps: are those of a rig's turntable: give --rig too, or --turn")
+    if args.as_given and args.fit_turntable:
+        raise InputError(
+            "--as-given: the poses are not measured, so --fit-turntable would find what was given: leave one out"
+        )
+    if args.as_given and args.turn and any(args.turn):
+        raise InputError(
+            "--as-given: --turn says how far the object was turned, and not about which axis: give --steps with the "
+            "rig of the turntable, or --poses; --turn 0 is for scans in one frame"
+        )
     if args.write_rig and not (args.rig and args.fit_turntable):
         raise InputError("--write-rig: writes --rig with the turntable of --fit-turntable: give both")
     if args.cube is not None and (args.closed or not args.cube > 0):
@@ -147,7 +168,7 @@ def _check(args: argparse.Namespace) -> None:
         "plots": args.png,
         "poisson": args.closed,
         "simplify": args.simplify is not None,
-        "features": not (args.turn or args.steps or args.poses),
+        "features": not (args.turn or args.steps or args.poses or args.as_given),
     }
     for name in [name for name, asked in needed.items() if asked]:
         extra(name)
@@ -229,6 +250,7 @@ def _image(path: Path, args: argparse.Namespace) -> Any:
 def _registered(sides: "list[Side]", starts: "list[Pose]", found: "Registration") -> dict[str, Any]:
     import numpy as np
 
+    from jaxscan.surface.coarse_register import fits
     from jaxscan.surface.register import moved_apart
 
     return {
@@ -238,15 +260,16 @@ def _registered(sides: "list[Side]", starts: "list[Pose]", found: "Registration"
                 "points": len(side.points),
                 "rotation": T.rotation.tolist(),
                 "translation_mm": T.translation.tolist(),
-                "sigma_deg": float(np.degrees(found.sigma(k)[0])),
-                "sigma_mm": found.sigma(k)[1],
+                "sigma_deg": float(np.degrees(found.sigma(k)[0])) if k == 0 or found.rounds else None,
+                "sigma_mm": found.sigma(k)[1] if k == 0 or found.rounds else None,
                 "from_chain_mm": moved_apart(side, starts[k], T),
             }
             for k, (side, T) in enumerate(zip(sides, found.poses, strict=True))
         ],
         "centre_mm": found.centre.tolist(),
-        "residual_in_sigma": float(np.sqrt(found.variance)),
-        "closure_mm": found.closure_mm,
+        "residual_in_sigma": float(np.sqrt(found.variance)) if found.pairs else None,
+        "closure_mm": found.closure_mm if found.pairs else None,
+        "do_not_fit": [[pair.first, pair.second] for pair in found.pairs if not fits(pair)],
         "converged": found.converged,
         "rounds": found.rounds,
         "pairs": [
@@ -333,7 +356,7 @@ def _written(
 
 def describe(result: dict[str, Any]) -> str:
     """The result in words."""
-    scans, pairs = result["scans"], result["pairs"]
+    scans = result["scans"]
     closed = f"closed, {result['volume_mm3']:.6g} mm³" if result["closed"] else "open"
     noise, sigma = f"{result['sigma_pixel_vertex_mm']:.4f} mm", result["sigma_vertex_mm"]
     sigma = f"σ of the noise {noise}" if sigma is None else f"σ {sigma:.4f} mm, of which noise {noise}"
@@ -342,9 +365,7 @@ def describe(result: dict[str, Any]) -> str:
         f"{result['triangles']} triangles of {len(scans)} scans: {', '.join(result['path'])}",
         f"  surface    {result['area_mm2']:.6g} mm², {closed}; {result['sides_in_the_mean']:.1f} scans on each vertex, "
         f"{sigma}{unseen}",
-        f"  pairs      {len(pairs)} overlap; distances scatter by {result['residual_in_sigma']:.2f} σ, "
-        f"{max(pair['rms_mm'] for pair in pairs):.3f} mm RMS at most",
-        f"  closure    {result['closure_mm']:.3f} mm: the furthest that a pair alone would stand apart",
+        *_pairs_in_words(result),
     ]
     kept = [ending for ending in _COLOURED if any(path.lower().endswith(ending) for path in result["path"])]
     if result["coloured"] and kept:
@@ -353,10 +374,11 @@ def describe(result: dict[str, Any]) -> str:
         lines.append(
             f"  not settled: {result['rounds']} rounds did not suffice; the poses and their σ are not to be relied upon"
         )
-    lines += [
-        f"  {scan['path']}: {scan['points']} points, pose within {scan['sigma_mm']:.4f} mm and {scan['sigma_deg']:.4f}°"
-        for scan in scans[1:]
-    ]
+    for scan in scans[1:]:
+        known = "as given"
+        if scan["sigma_mm"] is not None:
+            known = f"within {scan['sigma_mm']:.4f} mm and {scan['sigma_deg']:.4f}°"
+        lines.append(f"  {scan['path']}: {scan['points']} points, pose {known}")
     if "turntable" in result:
         from jaxscan.cli.format_summary import format_turn
 
@@ -367,3 +389,23 @@ def describe(result: dict[str, Any]) -> str:
     if result["picture"]:
         lines.append(f"  picture    {result['picture']}")
     return "\n".join(lines)
+
+
+def _pairs_in_words(result: dict[str, Any]) -> list[str]:
+    """How the scans fit each other."""
+    scans, pairs = result["scans"], result["pairs"]
+    if not pairs:
+        return ["  pairs      no two overlap: nothing says whether the poses are right"]
+    apart = f"{result['closure_mm']:.3f} mm: the furthest that a pair alone would"
+    lines = [
+        f"  pairs      {len(pairs)} overlap; distances scatter by {result['residual_in_sigma']:.2f} σ, "
+        f"{max(pair['rms_mm'] for pair in pairs):.3f} mm RMS at most",
+        f"  as given   {apart} move" if result["as_given"] else f"  closure    {apart} stand apart",
+    ]
+    if result["as_given"]:
+        lines += [
+            f"  {scans[a]['path']} and {scans[b]['path']} do not fit as given, by far more than their σ: check the "
+            "poses and the rig, and whether something moved"
+            for a, b in result["do_not_fit"]
+        ]
+    return lines

@@ -2,7 +2,7 @@
 
 import argparse
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -20,6 +20,13 @@ HELP: Final = "turn the photographs of a scan into points"
 EXAMPLE: Final = "jaxscan reconstruct scans/cup --rig rig.json -o cup.ply"
 # More burnt-out colours are worth a word.
 _MANY_FULL: Final = 0.01
+# Why points have no albedo, in words that follow their number.
+_GAPS: Final = {
+    "no_strength": "have no strength",
+    "burnt_out": "are burnt out in the stripe",
+    "alone": "have no neighbours on the surface",
+    "oblique": "are lit or seen more obliquely than 60°",
+}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -89,6 +96,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         "points_with_colour": done.coloured,
         "points_with_full_colour": done.full,
         "points_with_albedo": done.reflecting,
+        "without_albedo": paint.without_albedo if args.albedo else None,
         "left_out": scanner.left_out,
         "notes": scanner.notes,
         "warnings": [f"{args.rig}: {warning}" for warning in scanner.warnings],
@@ -103,11 +111,13 @@ class Paint:
         colour: auto, frames or none, as `--colour` has them.
         albedo: whether it is asked for.
         laser: where it stands, camera frame, mm; None for where it is taken to stand.
+        without_albedo: how many points have none for each reason; filled where it is asked for.
     """
 
     colour: str = "auto"
     albedo: bool = False
     laser: tuple[float, ...] | None = None
+    without_albedo: dict[str, int] = field(default_factory=dict)
 
     def of(self, parts: "Iterable[RangeImage]", rig: "Rig", scan: "Scan") -> "Iterator[RangeImage]":
         """The parts of a scan with it: in their turn, or at once where it takes all of them."""
@@ -118,7 +128,7 @@ class Paint:
 
         from jaxscan.reconstruction import RangeImage
         from jaxscan.reconstruction.scan_colours import check_photographs, neighbour_colours
-        from jaxscan.surface.albedo import albedo
+        from jaxscan.surface.albedo import albedo_and_gaps
 
         if self.colour == "frames":
             check_photographs(scan)
@@ -127,7 +137,9 @@ class Paint:
             image = replace(image, colours=neighbour_colours(rig, scan, image) if self.colour == "frames" else None)
         if self.albedo:
             laser = None if self.laser is None else np.asarray(self.laser)
-            image = replace(image, albedo=albedo(image, laser=laser, columns=scan.laser.columns))
+            found, gaps = albedo_and_gaps(image, laser=laser, columns=scan.laser.columns)
+            self.without_albedo.update(gaps)
+            image = replace(image, albedo=found)
         yield image
 
 
@@ -184,6 +196,8 @@ def _looks_in_words(result: dict[str, Any]) -> str:
                 "photographs that they come from shorter"
             )
     if result["points_with_albedo"] is not None:
-        known = result["points_with_albedo"]
-        lines += f"\nalbedo: of {known} points; the others are oblique, alone, or burnt out in the stripe"
+        gaps = [f"{count} {_GAPS[reason]}" for reason, count in result["without_albedo"].items() if count]
+        lines += f"\nalbedo: of {result['points_with_albedo']} points" + (
+            f"; of the others {', '.join(gaps)}" if gaps else ""
+        )
     return lines

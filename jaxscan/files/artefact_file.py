@@ -15,6 +15,8 @@ ARTEFACT_FILE: Final = "artefact.toml"
 FIGURES: Final = ("probing_form", "probing_size", "distance", "flatness")
 FORMS: Final = ("probing_form", "flatness")
 _MOST_BALLS: Final = 6
+# Balls are no smaller and no larger than this, mm: no stripe shows them, or no scanner sees them whole.
+_BALLS_MM: Final = (0.5, 3000.0)
 
 
 @dataclass(frozen=True)
@@ -124,6 +126,12 @@ def read_artefact(path: str | os.PathLike[str]) -> Artefact:
 def _ball(table: Table, scale: float) -> CertifiedBall:
     table.only("name", "diameter", "uncertainty", "form")
     diameter, uncertainty = scale * _positive(table, "diameter"), scale * _positive(table, "uncertainty", zero=True)
+    if not _BALLS_MM[0] <= diameter <= _BALLS_MM[1]:
+        own = table.number("diameter")
+        units = [unit for unit, mm in UNITS.items() if mm != scale and _BALLS_MM[0] <= mm * own <= _BALLS_MM[1]]
+        meant = ", or ".join(f'units = "{unit}"' for unit in units)
+        fix = f"if the file's numbers are in another unit, write {meant} under [artefact]" if meant else "correct it"
+        raise table.error("diameter", f"is {diameter:g} mm, which no scanner of this kind sees: {fix}")
     if uncertainty > 0.1 * diameter:
         raise table.error("uncertainty", "is more than a tenth of the diameter: give both in one unit")
     form = scale * _positive(table, "form", zero=True) if "form" in table else 0.0

@@ -70,14 +70,29 @@ def common_size(paths: Sequence[Path], to_their_ends: bool = False) -> tuple[int
         InputError: two of them differ, or one cannot be read.
     """
     first, *others = paths
+    odd = "all photographs must be of one camera, unscaled and uncropped; take the odd one out"
     size = image_size(first, to_their_ends)
     for path in others:
         if (other := image_size(path, to_their_ends)) != size:
             raise InputError(
                 f"{path}: is {other[0]} × {other[1]} pixels, but {first} is {size[0]} × {size[1]}: "
-                "all photographs must be of one camera, unscaled and uncropped; take the odd one out"
+                + (turned(other, size) or odd)
             )
     return size
+
+
+def turned(size: tuple[int, int], expected: tuple[int, int]) -> str:
+    """What is said of a photograph whose columns and rows are exchanged; empty where they are not.
+
+    What EXIF says of a photograph's orientation is not read: it would move the pixels under the rig.
+    """
+    if size == expected or size != expected[::-1]:
+        return ""
+    return (
+        "it is turned by a quarter, as phones and programs do by an EXIF orientation, which is not read here. Take the "
+        "photographs as the camera wrote them, with the orientation locked, or turn these back: jpegtran -rotate 90 "
+        "or 270, whichever makes them look like those of the calibration"
+    )
 
 
 def gap_in_numbers(paths: Sequence[Path]) -> tuple[Path, Path] | None:

@@ -24,7 +24,7 @@ from jaxscan.geometry import Pose
 
 # Position and quaternion; three rows of a matrix; four.
 _COUNTS: Final = (7, 12, 16)
-_MM_IN_A_METRE: Final = 1000.0
+_MM_IN: Final = {"metres": 1000.0, "inches": 25.4, "centimetres": 10.0}
 # Names of columns: x, tx, pos_x, x_mm, "X [mm]"; qw, q_w, rot_w. What a pose is of, as it is read.
 _OF_POSITION: Final = re.compile(
     r"(?:t|p|pos|position|trans|translation)?[._ ]*([xyz])(?:[._ ]*[\[(]?(mm|cm|m|in|inch)[\])]?)?"
@@ -77,7 +77,17 @@ def misread(given: Pose[np.ndarray]) -> Iterator[tuple[str, Pose[np.ndarray]]]:
     # What was read as w, x, y, z stands in the table as x, y, z, w.
     read = Rotation.from_quat(np.roll(Rotation.from_rotvec(given.rotation).as_quat(), 1, axis=-1))
     yield "with the quaternion as qx, qy, qz, qw: write qw first", Pose(read.as_rotvec(), given.translation)
-    yield "in metres: write positions in millimetres", Pose(given.rotation, _MM_IN_A_METRE * given.translation)
+    for unit, mm in _MM_IN.items():
+        yield f"in {unit}: write positions in millimetres", Pose(given.rotation, mm * given.translation)
+
+
+def transposed(given: Pose[np.ndarray]) -> tuple[str, Pose[np.ndarray]]:
+    """One more mistake, as `misread` has them: rotations alone that are the inverse of what they should be.
+
+    Poses that are turned the other way are possible ones too, so this alone is no reason to refuse them.
+    """
+    words = "with the rotations the other way round: transpose the matrices, or give qx, qy and qz the other sign"
+    return words, Pose(-given.rotation, given.translation)
 
 
 def named_table(table: Table, key: str, of: str) -> Path:

@@ -48,7 +48,8 @@ def known_balls(scanned: Scanned, artefact: Artefact) -> dict[str, Region]:
         if len(found) < len(alike):
             raise InputError(
                 f"{len(found)} of {len(alike)} balls of {left[0].diameter:g} mm were found: see that the scan shows "
-                "them whole and nothing else of that size, that they are dull and white, and that `diameter` is in mm"
+                "them whole and nothing else of that size, that they are dull and white, and that `diameter` is in mm, "
+                "or in the unit that units says"
             )
         found.sort(key=lambda ball: ball.point[0])
         places |= {ball.name: there for ball, there in zip(alike, found, strict=True)}

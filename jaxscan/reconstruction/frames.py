@@ -22,6 +22,7 @@ from jaxtyping import Int, Shaped, UInt
 from jaxscan.deadline import Workers, result_of
 from jaxscan.errors import InputError
 from jaxscan.files.axes import STAGE
+from jaxscan.files.listing import turned
 from jaxscan.files.scan import Scan
 from jaxscan.images import read_image, read_video
 from jaxscan.images.decode import Image
@@ -196,10 +197,12 @@ def wrong_size(path: Path | str, size: tuple[int, int], expected: tuple[int, int
         "; for a region of the same sensor set image_size in a copy of rig.json, and subtract the region's first "
         "column and row from principal; for binned pixels calibrate again"
     )
-    return (
-        f"{path}: the photograph has {size[0]} x {size[1]} pixels, the rig was calibrated with "
-        f"{expected[0]} x {expected[1]}: use the rig of this camera, at the size it was calibrated for"
-        + (smaller if size[0] <= expected[0] and size[1] <= expected[1] else "")
+    said = f"{path}: the photograph has {size[0]} x {size[1]} pixels, the rig was calibrated with "
+    said += f"{expected[0]} x {expected[1]}: "
+    if quarter := turned(size, expected):
+        return said + quarter
+    return f"{said}use the rig of this camera, at the size it was calibrated for" + (
+        smaller if size[0] <= expected[0] and size[1] <= expected[1] else ""
     )
 
 

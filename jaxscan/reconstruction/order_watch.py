@@ -4,7 +4,7 @@ Photographs that were copied or sorted into another order have as good stripes a
 by themselves; only together they are no surface.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Final
 
 import numpy as np
@@ -12,6 +12,7 @@ from jaxtyping import Float, Num
 
 from jaxscan.axis_details import is_detail
 from jaxscan.reconstruction.closing import closing_notes
+from jaxscan.reconstruction.odd_frames import odd_frame_notes
 from jaxscan.reconstruction.turns import full_turn
 from jaxscan.rig import Motion
 
@@ -46,21 +47,28 @@ class OrderWatch:
             if not is_detail(axis):
                 self._positions.setdefault(axis, []).append(np.asarray(steps))
 
-    def notes(self) -> list[str]:
-        """What is said of photographs that seem to be in no order, or of a turn that does not close.
+    def notes(self, names: Sequence[str] = ()) -> list[str]:
+        """What is said of photographs that seem to be in no order, of single ones, or of a turn that does not close.
 
-        Of those that only one axis moves.
+        Order and turn are those of scans that only one axis moves.
+
+        Args:
+            names: of the photographs; nothing is said of single ones without.
         """
         if not self._stripes:
             return []
+        stripes = np.concatenate(self._stripes)
         positions = {axis: np.concatenate(each) for axis, each in self._positions.items()}
         moving = [axis for axis, each in positions.items() if len(set(each.tolist())) > 1]
         if len(moving) != 1:
-            return []
+            return odd_frame_notes(stripes, names) if len(names) else []
         (axis,) = moving
         order = np.argsort(positions[axis], kind="stable")
-        stripes = np.concatenate(self._stripes)[order]
-        return self._disorder(stripes) or self._open_turn(stripes, positions[axis][order].astype(float), axis)
+        stripes = stripes[order]
+        if disorder := self._disorder(stripes):
+            return disorder
+        single = odd_frame_notes(stripes, [names[int(i)] for i in order]) if len(names) else []
+        return single + self._open_turn(stripes, positions[axis][order].astype(float), axis)
 
     def _open_turn(self, stripes: Float[np.ndarray, "frames some"], steps: _Steps, axis: str) -> list[str]:
         turn = full_turn(self._motion, [axis])

@@ -28,6 +28,8 @@ _AROUND: Final = np.array([-2, -1, 1, 2])
 # distance, mm, or farther would move by more than the second multiple of its own way.
 _WILD_RAD: Final = 0.05
 _LEVER_MM, _OF_ITS_WAY = 200.0, 8.0
+# Another way to read a table is named where its poses are outside the calibration's space by less than this part.
+_CLEARLY_NEARER: Final = 0.2
 # Rotations of neighbours that are farther apart, rad, make no path.
 _SMALL_RAD: Final = 1.0
 # Poses that are named.
@@ -53,10 +55,11 @@ def check_poses(content: RigFile, scan: Scan) -> None:
         still = len(scan.frames) > 1 and usual.is_still(given)
         # Rotations that jump from frame to frame are near anything now and then.
         odd = still or not (usual.is_near(given) or _turns_wildly(motion, given))
-        for words, meant in misread(given) if odd else ():
-            if usual.is_near(meant) and not usual.is_still(meant):
-                said = f"the poses do not go with those of the calibration, but they do {words}"
-                raise InputError(f"{scan.path}: [scan] {POSES}: {said}")
+        near = [(usual.outside(meant), words) for words, meant in misread(given) if odd and _is_near(usual, meant)]
+        if near:
+            # In centimetres, and in inches, both may be near: the nearest.
+            said = f"the poses do not go with those of the calibration, but they do {min(near)[1]}"
+            raise InputError(f"{scan.path}: [scan] {POSES}: {said}")
     unknown = np.array(content.fit.get("pose_offset_unknown", []), float).reshape(-1, 3)
     if not len(unknown):
         return
@@ -68,6 +71,10 @@ def check_poses(content: RigFile, scan: Scan) -> None:
             "was calibrated, so the rig does not say how: scan without such turns, or calibrate with photographs "
             "of the board with the hand turned in two directions"
         )
+
+
+def _is_near(usual: PoseRange, meant: Pose[np.ndarray]) -> bool:
+    return usual.is_near(meant) and not usual.is_still(meant)
 
 
 def pose_notes(content: RigFile, scan: Scan) -> list[str]:
@@ -116,6 +123,12 @@ def _where(content: RigFile, given: Pose[np.ndarray]) -> list[str]:
     if usual.is_usual(given):
         return []
     mm, rad = usual.outside(given)
+    (nearest_mm, _), words = min((usual.outside(meant), words) for words, meant in misread(given))
+    if not usual.is_within(given) and nearest_mm < _CLEARLY_NEARER * mm:
+        return [
+            f"the poses of half of the frames are {mm:.0f} mm or more outside the space in which the rig was "
+            f"calibrated, and {nearest_mm:.0f} mm {words}; if the scan was taken so far away, nothing is wrong"
+        ]
     return [
         f"the poses of half of the frames are {mm:.0f} mm outside the space in which the rig was calibrated and turned "
         f"by {np.degrees(rad):.0f}° from all poses of the calibration, or more: if the scan was not taken so far away, "

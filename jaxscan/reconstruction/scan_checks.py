@@ -175,7 +175,8 @@ def way_notes(rig: Rig, scan: Scan) -> list[str]:
         if whole > 360 + apart:
             notes.append(
                 f"the {axis} turns by {whole:.0f} degrees, more than one full turn: what was seen twice stands "
-                "twice, and is one surface again in jaxscan mesh"
+                "twice, and is one surface again in jaxscan mesh. If it turned once, the steps given for each frame "
+                f"are wrong: a full turn is {360 / step:.0f}"
             )
         if apart > WIDE_APART_DEG:
             notes.append(

@@ -6,8 +6,10 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float, UInt
 
+from jaxscan.axis_details import is_detail
 from jaxscan.files.listing import gap_in_numbers
 from jaxscan.files.scan import Scan
+from jaxscan.files.text_order import text_order_note
 from jaxscan.images.dark_frame import is_dark_frame
 from jaxscan.images.decode import read_image
 from jaxscan.images.stripe_settings import StripeSettings
@@ -60,6 +62,17 @@ def gap_notes(scan: Scan) -> list[str]:
         f"{gap[1].name} follows {gap[0].name}, as if photographs were missing, but the axis is said to have moved "
         "evenly from each to the next: put them there, or list where it stood for each photograph under steps"
     ]
+
+
+def order_notes(scan: Scan) -> list[str]:
+    """What is said of photographs that are listed in alphabetical order; of given poses they stand by name."""
+    if scan.poses is not None or scan.exposures_s is not None:
+        return []
+    steps = [n for axis, n in scan.axes.items() if not is_detail(axis)]
+    frames = text_order_note("frames", scan.frames, steps)
+    # Those of frames in the same order go with them.
+    dark = None if frames else text_order_note("the photographs of background", scan.backgrounds, steps)
+    return [note for note in (frames, dark) if note]
 
 
 def background_notes(rig: Rig, scan: Scan) -> list[str]:

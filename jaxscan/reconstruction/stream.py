@@ -31,9 +31,11 @@ from jaxscan.images.stripes.coherent import HALO
 from jaxscan.images.stripes.colourless import check_colours
 from jaxscan.images.stripes.settle import Band
 from jaxscan.images.stripes.validity import Verdict
+from jaxscan.reconstruction.background_watch import BackgroundWatch
 from jaxscan.reconstruction.frames import Frames, frames_of, frames_of_scan, with_positions
 from jaxscan.reconstruction.light_watch import LightWatch
 from jaxscan.reconstruction.merged_steps import merged_steps, step_groups
+from jaxscan.reconstruction.odd_frames import frame_names
 from jaxscan.reconstruction.order_watch import OrderWatch
 from jaxscan.reconstruction.overlapping import overlapping
 from jaxscan.reconstruction.pose_notes import check_poses, pose_notes
@@ -50,8 +52,10 @@ from jaxscan.reconstruction.scan_notes import (
     gap_notes,
     in_another_colour,
     left_out_notes,
+    order_notes,
 )
 from jaxscan.reconstruction.sheet_band import check_depths, depths_of, sheet_band, swept_band
+from jaxscan.reconstruction.sight_watch import SightWatch
 from jaxscan.reconstruction.sigma_map import MovedFrames, SigmaMap, SweptMap, point_sigmas
 from jaxscan.reconstruction.spacetime import Geometry, half_window, spacetime_profiles
 from jaxscan.reconstruction.spacetime_geometry import coarse_notes, spacetime_geometry
@@ -140,14 +144,11 @@ class Scanner:
         check_lines(self._content.rig, scan.laser, f"{scan.path}: [laser] columns = {str(scan.laser.columns).lower()}")
         frames = seen = points = 0
         self.notes, self.left_out = [], {}
-        notes = [
-            *way_notes(self._content.rig, scan),
-            *sweep_notes(self._content, scan),
-            *doubts(scan.checks),
-            *gap_notes(scan),
-        ]
+        notes = [*way_notes(self._content.rig, scan), *doubts(scan.checks), *gap_notes(scan), *order_notes(scan)]
+        notes += sweep_notes(self._content, scan)
         notes += [*background_notes(self._content.rig, scan), *pose_notes(self._content, scan)]
         verdicts, watch, order = np.zeros(len(Verdict), int), LightWatch(), OrderWatch(self._content.rig.motion)
+        sight = SightWatch(self._content.rig.motion)
         # Whoever stops early stops the reader too.
         with ExitStack() as to_close:
             for image, counts in self._images(laser, scan, advance, watch, notes, to_close):
@@ -156,13 +157,16 @@ class Scanner:
                 seen += int(np.isfinite(image.pixels).sum())
                 points += int(image.valid.sum())
                 order.see(image.pixels, image.positions)
+                if not self._spacetime:
+                    # Points of a moment between frames are in the sheet of none.
+                    sight.see(image)
                 yield image
         if not frames:
             raise InputError(f"{scan.path}: the scan has no frames")
         left_out = {reason: int(verdicts[verdict]) for verdict, reason in REASONS.items()}
         last = left_out_notes(left_out, points, self._depths_mm)
         last += watch.notes(scan.exposures_s is not None, bool(scan.backgrounds), scan.laser.color == "grey")
-        last += order.notes()
+        last += order.notes([] if self._spacetime else frame_names(scan, frames)) + sight.notes()
         if not seen:
             raise InputError(
                 f"{scan.path}: no stripe was found in any of {frames} frames{in_another_colour(scan)}: check [laser] "
@@ -270,9 +274,9 @@ class Scanner:
         kept = self._at_once if passage is None else 1
         read = frames_of_scan(longer, rig.camera.image_size, self._decoders, kept)
         read = to_close.enter_context(closing(read))
-        repeats, hot = RepeatWatch(), HotPixels(scan.laser.columns)
+        repeats, hot, shift = RepeatWatch(), HotPixels(scan.laser.columns), BackgroundWatch(longer)
         # A laser-off photograph has the hot pixels too.
-        seen = _shown(read, [repeats.see] if scan.backgrounds else [repeats.see, hot.correct])
+        seen = _shown(shift.looks_on(read), [repeats.see] if scan.backgrounds else [repeats.see, hot.correct])
         batches = self._batches(longer, seen, halo, _at_most(advance, len(scan.frames) or sys.maxsize))
         found: Iterator[tuple[RangeImage, Stripe | None]]
         if passage is None:
@@ -288,7 +292,7 @@ class Scanner:
                 watch.see(stripe[here])
                 counts = np.bincount(stripe[here].verdict.ravel(), minlength=len(Verdict))
             yield image[here, :], counts
-        notes += repeats.notes(longer.frames) + hot.notes()
+        notes += repeats.notes(longer.frames) + hot.notes() + shift.notes()
 
     def _batches(
         self, scan: Scan, read: Iterable[Frames], halo: int, advance: Callable[[int], object]

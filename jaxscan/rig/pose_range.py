@@ -99,6 +99,10 @@ class PoseRange:
         mm, rad = self.outside(poses)
         return mm <= _USUAL_DIAGONALS * self._diagonal and rad <= _USUAL_RAD
 
+    def is_within(self, poses: Pose[np.ndarray]) -> bool:
+        """Whether half of some poses have places of which nothing need be said."""
+        return self.outside(poses)[0] <= _USUAL_DIAGONALS * self._diagonal
+
     def is_still(self, poses: Pose[np.ndarray]) -> bool:
         """Whether a hand goes over next to nothing of this range."""
         return bool(np.linalg.norm(np.ptp(poses.translation, axis=0)) < _STILL * self._diagonal)

@@ -22,7 +22,7 @@ camera meets it; all rays of the fan are equally strong; surfaces are matt. What
 from typing import Final
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from jaxscan.errors import InputError
 from jaxscan.images.stripes.likelihood import FWHM
@@ -31,6 +31,9 @@ from jaxscan.rig.light import laser_place
 from jaxscan.surface.links import Links, links, sampling
 from jaxscan.surface.normals import normals
 
+# Why a point has no albedo, as reported to programs: its strength is not known, the stripe was burnt out, the point has
+# no neighbours on the surface, or light or view are too oblique.
+GAPS: Final = ("no_strength", "burnt_out", "alone", "oblique")
 # A normal is the mean of those within this number of columns and frames that are turned by less than this from it.
 _AROUND: Final = ((3, 1), float(np.cos(np.radians(25.0))))
 # Groups of points by how many pixels the sheet covers, of whose widths the medians are fitted.
@@ -44,7 +47,22 @@ _LEAST_COSINE: Final = 0.5
 def albedo(
     image: RangeImage, *, laser: Float[np.ndarray, "3"] | None = None, columns: bool = True
 ) -> Float[np.ndarray, "frames columns"]:
-    """The relative albedo of each point: the median of the scan is 1.
+    """The relative albedo of each point: the median of the scan is 1. The arguments are those of `albedo_and_gaps`.
+
+    Returns:
+        NaN without a point, without neighbours on the surface, where light or view are more oblique than 60°, where the
+        stripe was burnt out, and where the strength is not known.
+
+    Raises:
+        InputError: the light is not known, or there is one frame.
+    """
+    return albedo_and_gaps(image, laser=laser, columns=columns)[0]
+
+
+def albedo_and_gaps(
+    image: RangeImage, *, laser: Float[np.ndarray, "3"] | None = None, columns: bool = True
+) -> tuple[Float[np.ndarray, "frames columns"], dict[str, int]]:
+    """The relative albedo of each point, and how many points have none for each reason of `GAPS`.
 
     Args:
         image: with the light and the motion that it was scanned with, and with what was burnt out.
@@ -52,8 +70,7 @@ def albedo(
         columns: whether the scan has a point for each image column.
 
     Returns:
-        NaN without a point, without neighbours on the surface, where light or view are more oblique than 60°, where the
-        stripe was burnt out, and where the strength is not known.
+        The albedo, as `albedo` has it; and the points without, each counted once, by its first reason.
 
     Raises:
         InputError: the light is not known, or there is one frame.
@@ -86,7 +103,22 @@ def albedo(
     if image.width is not None:
         known &= np.isfinite(image.width)
     median = np.median(found[known]) if known.any() else 1.0
-    return np.where(known, found / median, np.nan).astype(np.float32)
+    return np.where(known, found / median, np.nan).astype(np.float32), _gaps(image, n, image.valid & ~known)
+
+
+def _gaps(
+    image: RangeImage, n: Float[np.ndarray, "frames columns 3"], without: Bool[np.ndarray, "frames columns"]
+) -> dict[str, int]:
+    """How many of the points without an albedo have none for each reason."""
+    with np.errstate(invalid="ignore"):
+        dim = ~(image.strength > 0)
+    burnt = np.zeros(without.shape, bool) if image.width is None else ~np.isfinite(image.width)
+    alone = ~np.isfinite(n).all(axis=-1)
+    counts = {}
+    for reason, here in zip(GAPS, (dim, burnt, alone, np.ones(without.shape, bool)), strict=True):
+        counts[reason] = int((without & here).sum())
+        without = without & ~here
+    return counts
 
 
 def _breadth2(image: RangeImage, spread: Float[np.ndarray, "frames columns"]) -> Float[np.ndarray, "frames columns"]:

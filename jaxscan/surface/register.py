@@ -72,10 +72,10 @@ class Registration:
         poses: T_first_side of each; the first one's is the identity.
         centre: the middle of all points, in the first one's frame, mm: what rotations of the covariance are about.
         covariance: of the small motions (rotation vector in radians, translation of the centre in mm) of all sides but
-            the first.
+            the first; NaN where the poses are as they were given.
         pairs: those that overlap.
-        variance: mean square of the residuals in units of their σ.
-        rounds: how many it took.
+        variance: mean square of the residuals in units of their σ; NaN where no sides overlap.
+        rounds: how many it took; 0 where the poses are as they were given.
         left_in_sigma: the step of the last round in units of the estimates' own σ, RMS; where that was not negligible
             when the rounds ran out, what the last ten moved the poses by together.
         converged: whether that was negligible, and the reach of the matches had shrunk to what it should; if not, the
@@ -166,6 +166,30 @@ def register(
     return found
 
 
+def as_given(sides: Sequence[Side], poses: Sequence[Pose], *, most: int = 4000) -> Registration:
+    """The sides where their poses say, and how they fit there: nothing is moved, so none slides, and none need overlap.
+
+    What is off in the poses stays in the surface, and no residual says how much that is along a surface: their σ is not
+    known.
+
+    Args:
+        sides: two or more.
+        poses: T_first_side of each.
+        most: points of each side that are looked up in each of the others.
+    """
+    centre = np.mean([T.apply(side.points).mean(axis=0) for side, T in zip(sides, poses, strict=True)], axis=0)
+    size = _size(sides, list(poses), centre)
+    linked: dict[tuple[int, int], tuple[Matches, Equations]] = {}
+    for a, b in combinations(range(len(sides)), 2):
+        reach = _REACH * max(sides[a].spacing_mm, sides[b].spacing_mm)
+        found = match(sides[a], sides[b], poses[a], poses[b], reach, most)
+        if found.overlap >= LEAST_OVERLAP and len(found) >= _FEWEST:
+            linked[a, b] = found, equations(sides[a], sides[b], poses[a], poses[b], found, centre)
+    pairs, variance = _pairs(sides, poses, centre, size, linked)
+    unknown = np.full((6 * len(sides) - 6,) * 2, np.nan)
+    return Registration(tuple(poses), centre, unknown, pairs, variance, 0, 0.0, True)
+
+
 def moved_apart(side: Side, T: Pose, other: Pose) -> float:
     """How far the points of a side are apart in two of its poses, RMS, mm."""
     return float(np.sqrt(((T.apply(side.points) - other.apply(side.points)) ** 2).sum(axis=1).mean()))
@@ -211,7 +235,8 @@ def _step(sides: Sequence[Side], H: np.ndarray, g: np.ndarray, size: float) -> n
     if sliding:
         raise ObservabilityError(
             f"{', '.join(sliding)}: slides on what it overlaps with, for a flat or round surface does not hold it: "
-            "scan it from where more of its shape is seen, or put something beside it"
+            "scan it from where more of its shape is seen, or put something beside it; where its pose is known, as of "
+            "two lasers of one rig or by a turntable's steps, --as-given keeps it there"
         )
     return unit * np.linalg.solve(scaled, unit * g)
 
@@ -250,10 +275,23 @@ def _registration(
     at, pulls = np.concatenate(rows), np.concatenate(parts)[:, 6:]
     sums = coo_array((np.ones(len(at)), (at, np.arange(len(at)))), shape=(int(start[-1]), len(at))).tocsr() @ pulls
     scaled = sums * np.concatenate([side.sigma for side in sides])[:, None]
+    pairs, variance = _pairs(sides, poses, centre, size, linked)
+    covariance = max(variance, 1.0) * inverse_H @ (scaled.T @ scaled) @ inverse_H
+    return Registration(tuple(poses), centre, covariance, pairs, variance, *how)
+
+
+def _pairs(
+    sides: Sequence[Side],
+    poses: Sequence[Pose],
+    centre: np.ndarray,
+    size: float,
+    linked: dict[tuple[int, int], tuple[Matches, Equations]],
+) -> tuple[tuple[Pair, ...], float]:
+    """Those that overlap, and the mean square of all residuals in units of their σ; NaN without any."""
+    if not linked:
+        return (), np.nan
     weights = np.concatenate([own.weight for _, own in linked.values()])
     squares = np.concatenate([(own.residual / own.sigma) ** 2 for _, own in linked.values()])
-    variance = float((weights * squares).sum() / weights.sum())
-    covariance = max(variance, 1.0) * inverse_H @ (scaled.T @ scaled) @ inverse_H
     pairs = tuple(
         Pair(
             first=a,
@@ -266,7 +304,7 @@ def _registration(
         )
         for (a, b), (found, own) in linked.items()
     )
-    return Registration(tuple(poses), centre, covariance, pairs, variance, *how)
+    return pairs, float((weights * squares).sum() / weights.sum())
 
 
 def _apart(own: Equations, arms: Float[np.ndarray, "matches 3"], size: float) -> float:

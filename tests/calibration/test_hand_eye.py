@@ -164,6 +164,9 @@ MISTAKES = {
         "write qw first",
     ),
     "metres": (lambda given: Pose(given.rotation, given.translation / 1000), "in metres"),
+    "centimetres": (lambda given: Pose(given.rotation, given.translation / 10), "in centimetres"),
+    "inches": (lambda given: Pose(given.rotation, given.translation / 25.4), "in inches"),
+    "transposed": (lambda given: Pose(-given.rotation, given.translation), "transpose the matrices"),
     "shuffled": (lambda given: Pose(given.rotation[::-1], given.translation[::-1]), "check that each name"),
 }
 

@@ -57,6 +57,19 @@ def test_colours_and_albedo_in_every_file(folder, tmp_path, capsys, monkeypatch)
     n = int(image.valid.sum())
     assert f"colour: {n} points have one" in said
     assert f"albedo: of {np.isfinite(image.albedo).sum()} points" in said
+    data = run(
+        capsys, "reconstruct", folder / "scan", "--rig", folder / "rig.json", "--albedo", "--json", "-o", "b.npz"
+    )
+    gaps = json.loads(data)["without_albedo"]
+    assert sum(gaps.values()) == n - np.isfinite(image.albedo[image.valid]).sum() > 0
+    words = {
+        "no_strength": "have no strength",
+        "burnt_out": "are burnt out in the stripe",
+        "alone": "have no neighbours on the surface",
+        "oblique": "are lit or seen more obliquely than 60°",
+    }
+    for reason, count in gaps.items():
+        assert (f"{count} {words[reason]}" in said) == (count > 0)
     for name in ("a.ply", "a.pcd"):
         cloud = read_cloud(name)
         np.testing.assert_array_equal(cloud.colours, image.colours[image.valid])

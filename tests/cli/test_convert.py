@@ -113,6 +113,16 @@ def test_usage_is_checked_before_work(rig, tmp_path, capsys):
     assert "such as 640x480" in capsys.readouterr().err
 
 
+def test_what_is_read_is_not_replaced(tmp_path, capsys):
+    """A format that has no place for a term would take it from the only file that has it."""
+    path = tmp_path / "a.yml"
+    path.write_text(samples.OPENCV)
+    assert "is read, and writing to it would replace it" in refusal(capsys, "convert", path, path, "--format", "ros")
+    (tmp_path / "link.yaml").symlink_to(path)
+    assert "would replace it" in refusal(capsys, "convert", path, tmp_path / "link.yaml", "--format", "ros")
+    assert path.read_text() == samples.OPENCV
+
+
 def test_the_size_of_the_image_where_the_file_has_none(tmp_path, capsys):
     path = tmp_path / "a.yml"
     path.write_text(samples.OPENCV.replace("image_width: 640\nimage_height: 480\n", ""))

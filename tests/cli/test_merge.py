@@ -209,3 +209,31 @@ def test_bad_input(folder, capsys, monkeypatch, words, problem):
     assert main(["merge", *words.split()]) == 2
     assert problem in capsys.readouterr().err
     assert not Path("x.stl").exists()
+
+
+def test_scans_stay_as_they_are_given(clouds, capsys, monkeypatch):
+    monkeypatch.chdir(clouds)
+    exact = pose(0.0).inverse() @ pose(90.0)
+    words = ["merge", "0.ply", "1.ply", "--as-given", "-o", "given.stl"]
+    found = run(capsys, *words, "--poses", "poses.json")
+    np.testing.assert_allclose(found["scans"][1]["translation_mm"], exact.translation, atol=1e-9)
+    assert found["scans"][1]["sigma_mm"] is None
+    assert found["scans"][1]["from_chain_mm"] == found["rounds"] == 0
+    assert found["residual_in_sigma"] == pytest.approx(1.0, abs=0.2)
+    assert found["closure_mm"] < 0.02
+    assert found["do_not_fit"] == []
+    # Rough poses stay too, and that they are rough is said; without poses both stand where they are.
+    rough = json.loads(Path("poses.json").read_text())
+    rough["1.ply"]["position"][2] += 0.5
+    Path("rough.json").write_text(json.dumps(rough))
+    assert main([*words, "--poses", "rough.json"]) == 0
+    said = capsys.readouterr().out
+    assert "0.ply and 1.ply do not fit as given" in said
+    assert "points, pose as given" in said
+    np.testing.assert_array_equal(run(capsys, *words)["scans"][1]["translation_mm"], np.zeros(3))
+    for more, reason in (
+        (["--turn", "90"], "not about which axis: give --steps"),
+        (["--poses", "poses.json", "--fit-turntable", "500"], "would find what was given"),
+    ):
+        assert main([*words, *more]) == 2
+        assert reason in capsys.readouterr().err

@@ -41,6 +41,10 @@ def test_lengths_are_in_the_files_unit(tmp_path):
         (BALL.replace("diameter", "diametre"), 'unknown key; did you mean "diameter"'),
         (BALL + "[limits]\nflat = 1.0\n", 'did you mean "flatness"'),
         ("[[plane]]\nflatness = 0.1\n" * 2, "plane.*there are two"),
+        (BALL.replace("1.0", "0.014"), r"diameter = 0.014: is 0.014 mm, which .* write units = \"m\" under"),
+        (BALL.replace("1.0", "0.0381"), r'write units = "m", or units = "inch" under'),
+        ('[artefact]\nunits = "m"\n' + BALL.replace("1.0", "14"), r'is 14000 mm, .* write units = "mm", or'),
+        (BALL.replace("1.0", "1e9"), "sees: correct it"),
         ("".join(BALL.replace('"a"', f'"{k}"') for k in range(7)), "there are 7, and at most 6"),
     ],
 )

@@ -1,5 +1,6 @@
 """What the given poses of a scan show by themselves."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -7,12 +8,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from jaxscan.errors import InputError
 from jaxscan.files.rig_file import RigFile
 from jaxscan.files.scan import Scan
 from jaxscan.geometry import Pose
 from jaxscan.images import StripeSettings
 from jaxscan.precision import as_numpy, float64
-from jaxscan.reconstruction.pose_notes import pose_notes, stand_out
+from jaxscan.reconstruction.pose_notes import check_poses, pose_notes, stand_out
 from jaxscan.rig import HeadPoses, ObjectPoses, PoseRange, Rig, positions_of
 from jaxscan.simulation import rig_2003
 
@@ -110,3 +112,21 @@ def test_poses_far_from_those_of_the_calibration_are_pointed_out():
     (note,) = pose_notes(rig(usual=usual), scan(turned))
     assert "turned by" in note
     assert "tool or base frame" in note
+
+
+@pytest.mark.parametrize(("words", "part"), [("metres", 1000.0), ("centimetres", 10.0), ("inches", 25.4)])
+def test_positions_in_another_unit_are_named(words: str, part: float):
+    """Refused where they are nowhere near those of the calibration, and pointed out where they are only far."""
+    given = path()
+    small = scan(Pose(given.rotation, given.translation / part))
+    tight = rig(usual=Pose(given.rotation[::3], given.translation[::3]))
+    with pytest.raises(InputError, match=f"but they do in {words}: write positions in millimetres"):
+        check_poses(tight, small)
+    check_poses(tight, scan(given))
+    # A calibration that went over 700 mm, from which none of them is far enough to be refused.
+    wide = Pose(given.rotation[:9], np.linspace([300.0, -300.0, 150.0], [600.0, 200.0, 500.0], 9))
+    if words == "centimetres":
+        check_poses(rig(usual=wide), small)
+        (note,) = pose_notes(rig(usual=wide), small)
+        assert re.search(rf"the rig was calibrated, and \d+ mm in {words}: write positions in millimetres", note)
+    assert pose_notes(rig(usual=wide), scan(given)) == []

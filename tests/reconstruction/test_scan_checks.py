@@ -50,6 +50,7 @@ def test_more_than_a_turn_and_the_steps_of_another_axis(rig):
     assert way_notes(rig, scan(turntable=(*fine, TURN))) == []
     (note,) = way_notes(rig, scan(turntable=(*fine, *(TURN + n for n in fine))))
     assert "more than one full turn" in note
+    assert note.endswith("If it turned once, the steps given for each frame are wrong: a full turn is 3200")
     with pytest.raises(InputError, match=r"turntable turns by 35775 degrees, 99.4 full turns.*A full turn is 3200"):
         way_notes(rig, scan(turntable=tuple(range(0, 160 * 2000, 2000))))
 
@@ -119,3 +120,5 @@ def test_photographs_of_a_part_of_the_sensor_are_refused_with_the_way_to_read_th
     )
     assert "subtract the region's first column and row from principal; for binned pixels" in said((512, 384))
     assert said((2048, 700)).endswith("at the size it was calibrated for")
+    assert "it is turned by a quarter, as phones and programs do by an EXIF" in said((768, 1024))
+    assert said((768, 1024)).endswith("makes them look like those of the calibration")

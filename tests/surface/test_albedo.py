@@ -15,7 +15,7 @@ from jaxscan.simulation import rig_2003
 from jaxscan.simulation.folders import simulate_scan
 from jaxscan.simulation.scene import Body
 from jaxscan.simulation.solids import Sphere
-from jaxscan.surface.albedo import albedo
+from jaxscan.surface.albedo import GAPS, albedo, albedo_and_gaps
 from tests.surface.scenes import grid, seen
 
 SHEET = as_numpy(LightPlane.create([0.0, -0.005, 1 / 300]))
@@ -74,7 +74,17 @@ def test_burnt_out_oblique_and_lonely_points_have_none() -> None:
     valid[51, 60] = True
     image = replace(image, width=width, valid=valid)
     image = replace(image, points=np.where(valid[..., None], image.points, np.nan))
-    found = albedo(image)
+    found, gaps = albedo_and_gaps(image)
+    np.testing.assert_array_equal(found, albedo(image))
+    assert tuple(gaps) == GAPS
+    assert sum(gaps.values()) == (np.isnan(found) & valid).sum()
+    # The side of the hills that is turned away from the light has none.
+    assert gaps["no_strength"] == (valid & (image.strength <= 0)).sum()
+    assert gaps["burnt_out"] == 1
+    assert gaps["oblique"] > 0
+    assert 1 <= gaps["alone"] < 50
+    dim = replace(image, strength=np.where(width > 0, image.strength, np.float32(0)), valid=valid)
+    assert albedo_and_gaps(dim)[1] == {**gaps, "no_strength": gaps["no_strength"] + 1, "burnt_out": 0}
     assert np.isnan(found[40, 40])
     assert np.isnan(found[51, 60])
     assert np.isnan(found[~valid]).all()

@@ -8,10 +8,10 @@ import pytest
 
 from jaxscan.errors import InputError, ObservabilityError
 from jaxscan.geometry import Pose
-from jaxscan.surface.coarse_register import check_fits, check_turned, coarse_register
+from jaxscan.surface.coarse_register import check_fits, check_turned, coarse_register, fits
 from jaxscan.surface.floor import find_floor, stands_on
 from jaxscan.surface.pairs import equations, match
-from jaxscan.surface.register import NotSettledWarning, register
+from jaxscan.surface.register import NotSettledWarning, as_given, register
 from jaxscan.surface.side import side_of_cloud
 from tests.surface import scenes
 from tests.surface.hills import NOISE, height, pose, scanned, side
@@ -160,6 +160,35 @@ def test_what_slides_is_not_guessed():
     balls = [side(f"{k}.npz", scenes.seen(dome, NOISE, seed=k)) for k in range(2)]
     with pytest.raises(ObservabilityError, match=r"1\.npz: slides"):
         coarse_register(balls, [0.0, 45.0])
+
+
+def test_poses_as_given_are_kept_and_judged(sides, truth):
+    found = as_given(sides[:3], truth[:3])
+    assert found.poses == tuple(truth[:3])
+    assert found.variance == pytest.approx(register(sides[:3], truth[:3]).variance, rel=0.1)
+    assert len(found.pairs) == 3
+    assert all(map(fits, found.pairs))
+    assert np.isnan(found.sigma(1)).all()
+    # A tenth of a millimetre is what the pair alone would move by; ten times its σ does not fit.
+    moved = Pose(np.zeros(3), np.array([0.0, 0.0, 0.1]))
+    (pair,) = as_given(sides[:2], [truth[0], moved @ truth[1]]).pairs
+    assert pair.apart_mm == pytest.approx(0.1, rel=0.1)
+    assert not fits(as_given(sides[:2], [truth[0], moved @ moved @ moved @ truth[1]]).pairs[0])
+    far = as_given(sides[:2], [truth[0], Pose(np.zeros(3), np.array([0.0, 50.0, 0.0])) @ truth[1]])
+    assert far.pairs == ()
+    assert np.isnan(far.variance)
+
+
+def test_what_slides_stays_as_given():
+    x, y = scenes.grid()
+    dome = np.where(x**2 + y**2 < 81, np.sqrt(np.maximum(144.0 - x**2 - y**2, 0)) - 6, 0.0)
+    balls = [side(f"{k}.npz", scenes.seen(dome, NOISE, seed=k)) for k in range(2)]
+    with pytest.raises(ObservabilityError, match="--as-given keeps it there"):
+        register(balls, [Pose.identity(), Pose.identity()])
+    found = as_given(balls, [Pose.identity(), Pose.identity()])
+    assert found.variance == pytest.approx(1.0, abs=0.3)
+    # What cannot be told is left out of how far they are apart.
+    assert found.pairs[0].apart_mm < 0.02
 
 
 def test_scans_of_one_place_are_tried_as_they_stand():
