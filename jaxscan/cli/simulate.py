@@ -488,7 +488,14 @@ def _with_sweep(
     with replacing_folders(out) as folder, progress("rendering", photographs) as advance:
         lighting = replace(rig_2003.BOARD_LIGHTING, **light)
         session = swept.simulate_swept_session(
-            folder / "session", seed, moved, lighting=lighting, advance=advance, **common
+            folder / "session",
+            seed,
+            moved,
+            views=rig_2003.BOARD_VIEWS,
+            stripes=swept.STRIPES,
+            lighting=lighting,
+            advance=advance,
+            **common,
         )
         scan = folders.simulate_scan(
             folder / folders.scan_name(""),

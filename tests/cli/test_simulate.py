@@ -30,7 +30,22 @@ def few_photographs(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(rig_2003, "SCAN_FRAMES", 2)
     monkeypatch.setattr(rig_2003, "TURNTABLE_VIEWS", 3)
     monkeypatch.setattr(rig_2003, "TURN_APART", 1600)
+    monkeypatch.setattr("jaxscan.simulation.swept.STRIPES", 3)
     monkeypatch.setattr("jaxscan.cli.compiled.keep_compiled", lambda: None)
+
+
+def test_a_light_that_sweeps(few_photographs: None, tmp_path: Path) -> None:
+    out = tmp_path / "world"
+    result = simulate.run(parse(str(out), "--object", "box", "--swept"))
+    assert result["photographs"] == 10
+    session, scan = read_session(out / "session"), read_scan(out / "scan")
+    assert session.sheets == ("swept",)
+    assert [step for step, _ in session.views.lit("", 1)] == [400, 1000, 1600]
+    assert scan.axes == {"sweep": (400, 1600)}
+    rig = read_rig(out / "truth" / "rig.json").rig
+    assert rig.light_axis("sweep").amount(100.0) == (pytest.approx(1.0), "degrees")
+    with pytest.raises(InputError, match="--swept goes without --turntable, --apart: leave one of them out"):
+        simulate.run(parse(str(tmp_path / "other"), "--swept", "--turntable", "--apart", "3"))
 
 
 def test_sessions_scans_and_truth(few_photographs: None, tmp_path: Path) -> None:

@@ -6,9 +6,12 @@ import jax
 import numpy as np
 import pytest
 
+from jaxscan.calibration import calibrate
+from jaxscan.calibration.observe import observe
 from jaxscan.errors import InputError
 from jaxscan.files.rig_file import RigFile
 from jaxscan.files.scan import read_scan
+from jaxscan.files.session import read_session
 from jaxscan.images import StripeSettings, read_image
 from jaxscan.images.stripes.detect import detect_stripe
 from jaxscan.measurement.scanned import scanned_image
@@ -21,7 +24,7 @@ from jaxscan.rig.rig import parameter_names
 from jaxscan.simulation import rig_2003
 from jaxscan.simulation.folders import simulate_scan
 from jaxscan.simulation.shapes import stair
-from jaxscan.simulation.swept import in_the_middle, sweep_of, with_sweep
+from jaxscan.simulation.swept import in_the_middle, simulate_swept_session, sweep_of, with_sweep
 
 FRAMES = 6
 
@@ -58,6 +61,17 @@ def test_points_are_where_the_light_met_the_object(swept):
     still = replace(scan, axes={"stage": (0,) * FRAMES})
     far = reconstruct(wrong, still, depths_mm=(0.0, np.inf))
     assert np.nanmedian(np.linalg.norm(far.points - truth.points, axis=-1)[0]) > 5.0
+
+
+def test_from_photographs_of_boards_to_points(swept, tmp_path):
+    _, scan, truth = swept
+    rig = with_sweep(rig_2003.simulated_rig(3), 3)
+    simulate_swept_session(tmp_path, 3, rig, views=5, stripes=3)
+    found = calibrate(observe(read_session(tmp_path)), light="swept")
+    assert found.stripe_rms_px < 0.15
+    image = reconstruct(found.rig_file(), scan)
+    off = np.linalg.norm(image.points - truth.points, axis=-1)[image.valid & np.isfinite(truth.position)]
+    assert np.median(off) < 0.1
 
 
 def test_sigma_is_that_of_the_exact_derivatives(swept):
