@@ -99,7 +99,7 @@ class SweptSheet(Readable):
         positions: Float[np.ndarray, "points"] | None = None,
         axis: str = "sweep",
     ) -> "SweptSheet":
-        """A start for a solve: a sheet that bends with the steps, linearly in its dual plane, then the turn itself.
+        """A start for a solve: a sheet whose dual plane is quadratic in the steps, and then the turn itself.
 
         Raises:
             ObservabilityError: there are too few positions, or the points do not make such a light.
