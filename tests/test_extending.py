@@ -93,7 +93,7 @@ def test_a_sheet_on_a_cylinder_is_found_written_and_triangulated(example, tmp_pa
     seen = np.isfinite(exact).all(axis=1) & (exact[:, 2] < 600)
     assert seen.sum() > 40
     np.testing.assert_allclose(points[seen], exact[seen], atol=3e-3)
-    with pytest.raises(InputError, match="this version knows plane, bowed, cylinder"):
+    with pytest.raises(InputError, match="this version knows plane, bowed, swept, cylinder"):
         calibrate(session, light="wavy")
 
 
