@@ -50,10 +50,9 @@ def board_band(
     with np.errstate(divide="ignore", invalid="ignore"):
         t = (lines[:, None] - first[0]) / (last[0] - first[0])
         crossing = np.where((t >= 0) & (t <= 1), first[1] + t * (last[1] - first[1]), np.nan)
-    none = ~np.isfinite(crossing).any(axis=1)
-    crossing[none] = [np.inf, -np.inf, np.inf, -np.inf]
-    low_edge = np.where(none, np.inf, np.nanmin(crossing, axis=1))
-    high_edge = np.where(none, -np.inf, np.nanmax(crossing, axis=1))
+    crosses = np.isfinite(crossing)
+    low_edge = np.where(crosses, crossing, np.inf).min(axis=1)
+    high_edge = np.where(crosses, crossing, -np.inf).max(axis=1)
     return low_edge.astype(np.float32), high_edge.astype(np.float32)
 
 

@@ -11,6 +11,7 @@ from jaxscan.files.table import Table, show
 # The axis of which `steps` speaks.
 STAGE: Final = "stage"
 _PLAIN_NAME: Final = re.compile(r"[A-Za-z0-9_-]+")
+_NO_NAME: Final = "is no name of an axis: write letters, digits, _ and - alone"
 
 Positions = Mapping[str, tuple[int, ...]]
 
@@ -38,6 +39,18 @@ Rules = Mapping[str, StepRule]
 def is_axis_name(name: str) -> bool:
     """Whether an axis may be called so: letters, digits, _ and -."""
     return _PLAIN_NAME.fullmatch(name) is not None
+
+
+def read_axis_name(table: Table, default: str | None = None) -> str:
+    """The name of an axis that a table has as `axis`.
+
+    Raises:
+        InputError: it is missing and has no default, or is no name.
+    """
+    name = table.string("axis", default)
+    if not is_axis_name(name):
+        raise table.error("axis", _NO_NAME)
+    return name
 
 
 def read_axes(scan: Table, n_frames: int | None, outer: str = "scan") -> tuple[Positions, Rules]:
@@ -114,7 +127,7 @@ def _read_axis(axes: Table, name: str, outer: str) -> tuple[int, ...] | StepRule
     """What is written for one axis: a list, one number, or where it starts and how far it goes for each frame."""
     value = axes.values[name]
     if not is_axis_name(name):
-        raise axes.error(name, "is no name of an axis: write letters, digits, _ and - alone")
+        raise axes.error(name, _NO_NAME)
     if isinstance(value, list):
         return axes.wholes(name)
     if not isinstance(value, dict):

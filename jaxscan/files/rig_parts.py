@@ -9,7 +9,7 @@ from typing import Any
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from jaxscan.files.axes import is_axis_name
+from jaxscan.files.axes import read_axis_name
 from jaxscan.files.table import LARGEST, Table
 from jaxscan.rig import (
     LENSES,
@@ -76,7 +76,7 @@ def read_lights(tables: Sequence[Table], unknown: list[str]) -> tuple[Light, ...
     for table in tables:
         name = table.string("name") if table.values.get("name", "") != "" else ""
         kind = LIGHTS[_kind(table, LIGHTS)]
-        axis = {"axis": _axis(table)} if moves(kind) else {}
+        axis = {"axis": read_axis_name(table)} if moves(kind) else {}
         lights.append(_part(table, kind, unknown, name=name, **axis))
     names = [light.name for light in lights]
     for i, (table, name) in enumerate(zip(tables, names, strict=True)):
@@ -93,7 +93,7 @@ def read_motion(tables: Sequence[Table], unknown: list[str]) -> Motion:
     """
     parts: list[AxisMotion] = []
     for table in tables:
-        axis = _axis(table)
+        axis = read_axis_name(table)
         if axis in [part.axis for part in parts]:
             raise table.error("axis", "stands twice: give each axis a name of its own")
         kind = MOTIONS[_kind(table, MOTIONS)]
@@ -104,13 +104,6 @@ def read_motion(tables: Sequence[Table], unknown: list[str]) -> Motion:
         if isinstance(parts[-1], Screw | ScrewOnGuide) and table.numbers("period", 1)[0] <= 0:
             raise table.error("period", "must be the steps of one turn of the screw, above 0: calibrate again")
     return motion_of(tuple(parts))
-
-
-def _axis(table: Table) -> str:
-    axis = table.string("axis")
-    if not is_axis_name(axis):
-        raise table.error("axis", "is no name of an axis: write letters, digits, _ and - alone")
-    return axis
 
 
 def _kind(table: Table, kinds: Mapping[str, object]) -> str:

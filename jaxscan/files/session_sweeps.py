@@ -5,7 +5,7 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from jaxscan.files.axes import is_axis_name
+from jaxscan.files.axes import read_axis_name
 from jaxscan.files.listing import files_or_gaps
 from jaxscan.files.settings import relative_name
 from jaxscan.files.table import Table
@@ -30,10 +30,7 @@ def read_light_axis(laser: Table, sheet: str) -> str:
         if "axis" in laser:
             raise laser.error("axis", f'a sheet that is "{sheet}" stands still: leave axis out, or set sheet = "swept"')
         return ""
-    axis = laser.string("axis", AXIS)
-    if not is_axis_name(axis):
-        raise laser.error("axis", "is no name of an axis: write letters, digits, _ and - alone")
-    return axis
+    return read_axis_name(laser, AXIS)
 
 
 def read_sweeps(table: Table, boards: Sequence[Path], axis: str) -> tuple[Sweep, ...]:

@@ -45,7 +45,7 @@ def odd_frame_notes(stripes: Float[np.ndarray, "frames lines"], names: Sequence[
     shown: list[int] = np.flatnonzero(lines >= _BOTH).tolist()
     if len(shown) < 3:
         return []
-    near = [px for a, b in pairwise(shown) if (px := _apart(stripes[a], stripes[b])) is not None]
+    near = [px for a, b in pairwise(shown) if (px := stripes_apart(stripes[a], stripes[b])) is not None]
     usual = float(np.median(near)) if near else 0.0
     return _odd(stripes, shown, usual, names) + _dark(stripes, lines, shown, usual, names)
 
@@ -53,7 +53,7 @@ def odd_frame_notes(stripes: Float[np.ndarray, "frames lines"], names: Sequence[
 def _odd(stripes: Float[np.ndarray, "frames lines"], shown: list[int], usual: float, names: Sequence[str]) -> list[str]:
     odd: list[tuple[int, float, float]] = []
     for before, i, after in zip(shown[:-2], shown[1:-1], shown[2:], strict=True):
-        agree = _apart(stripes[before], stripes[after])
+        agree = stripes_apart(stripes[before], stripes[after])
         if agree is None:
             continue
         off = np.abs(stripes[i] - stripes[[before, after]]).min(axis=0)
@@ -86,7 +86,7 @@ def _dark(
     for before, after in pairwise(shown):
         between = range(before + 1, after)
         # Another object begins where the stripe is elsewhere behind the gap.
-        apart = _apart(stripes[before], stripes[after])
+        apart = stripes_apart(stripes[before], stripes[after])
         if apart is not None and apart < max(_FAR_PX, _FAR * usual * (len(between) + 1)):
             dark += [i for i in between if not lines[i]]
     if not dark:
@@ -103,7 +103,7 @@ def _more(count: int) -> str:
     return f" and {count - _NAMED} more" if count > _NAMED else ""
 
 
-def _apart(one: Float[np.ndarray, "lines"], other: Float[np.ndarray, "lines"]) -> float | None:
+def stripes_apart(one: Float[np.ndarray, "lines"], other: Float[np.ndarray, "lines"]) -> float | None:
     """By how much the stripes of two photographs differ, in the median of their lines, px; None where few have both."""
     off = np.abs(one - other)
     off = off[np.isfinite(off)]

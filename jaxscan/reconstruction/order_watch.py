@@ -12,14 +12,14 @@ from jaxtyping import Float, Num
 
 from jaxscan.axis_details import is_detail
 from jaxscan.reconstruction.closing import closing_notes
-from jaxscan.reconstruction.odd_frames import odd_frame_notes
+from jaxscan.reconstruction.odd_frames import odd_frame_notes, stripes_apart
 from jaxscan.reconstruction.turns import full_turn
 from jaxscan.rig import Motion
 
 _Steps = Num[np.ndarray, "frames"]
 
-# Lines of each frame that are remembered, and in how many two frames must both have a stripe.
-_LINES, _BOTH = 128, 16
+# Lines of each frame that are remembered.
+_LINES: Final = 128
 # Pairs of frames that say something.
 _FEWEST: Final = 16
 # Frames that follow one another differ by this part of what frames far apart do, at the least, if they are in no order:
@@ -89,6 +89,5 @@ class OrderWatch:
 
 def _apart(stripes: Float[np.ndarray, "frames some"], by: int) -> Float[np.ndarray, "pairs"]:
     """By how much the stripes of frames so far apart differ, in the median of their lines, px."""
-    off = np.abs(stripes[by:] - stripes[:-by])
-    enough = np.isfinite(off).sum(axis=1) >= _BOTH
-    return np.nanmedian(off[enough], axis=1) if enough.any() else np.zeros(0)
+    pairs = zip(stripes[by:], stripes[:-by], strict=True)
+    return np.array([px for one, other in pairs if (px := stripes_apart(one, other)) is not None])

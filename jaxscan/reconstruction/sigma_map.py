@@ -96,6 +96,11 @@ class SigmaMap(eqx.Module):
         maps = np.einsum("li,ijm->jml" if columns else "lj,ijm->iml", across, fitted)
         return SigmaMap(*(jnp.asarray(np.asarray(x, np.float32)) for x in (maps, length, S[np.ix_(at, at)])))
 
+    def at(self, q: PositionsOfPoints) -> "SigmaMap":
+        """The maps of some frames, by the positions of the axes at each: the same of all."""
+        del q
+        return self
+
 
 class MovedFrames(eqx.Module):
     """How the motion carried some frames.

@@ -444,7 +444,7 @@ class _Laser:
         sigma = sigma_pixel = np.full(valid.shape, np.nan, np.float32)
         if self._map is not None:
             own, moved = self._ratio * stripe_sigma, MovedFrames.create(self._rig, q, len(position))
-            maps = self._map.at(q) if isinstance(self._map, SweptMap) else self._map
+            maps = self._map.at(q)
             sigma, sigma_pixel = (np.asarray(x) for x in point_sigmas(maps, moved, position, points, own))
             if self._of_poses is not None:
                 sigma = np.hypot(sigma, self._of_poses.along_rays(points, q))
