@@ -8,7 +8,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike, Float, Int
-from scipy.optimize import least_squares
 
 from jaxscan.errors import ObservabilityError
 from jaxscan.geometry.rotation import A, namespace, vector_to_matrix
@@ -104,6 +103,8 @@ class SweptSheet(Readable):
         Raises:
             ObservabilityError: there are too few positions, or the points do not make such a light.
         """
+        from scipy.optimize import least_squares  # 0.3 s, and a scan needs no start
+
         del view
         which = f'laser "{name}": ' if name else ""
         steps = np.zeros(len(points)) if positions is None else np.asarray(positions, np.float64)
