@@ -7,7 +7,8 @@ surfaces, in several photographs each, of the worst width of stripe.
 
 And predicted σ over the actual error, of bent and sloping stripes of several widths, open and burnt out, with speckle
 and without, in photographs of three qualities. Of stripes that are burnt out in every second stretch, σ over the error
-and the error over that of the centre of gravity are told apart for burnt-out lines and others.
+and the error over that of the centre of gravity are told apart for burnt-out lines and others; of stripes that are dim
+in every second stretch σ over the error is, for dim lines and others.
 """
 
 import itertools
@@ -19,7 +20,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import simplejpeg
-from jaxtyping import Float, UInt
+from jaxtyping import Bool, Float, UInt
 from scipy.special import ndtr
 
 from benchmarks.metric import Metric
@@ -51,6 +52,8 @@ _SIGMA_WIDTHS: Final = (0.74, 1.0, 1.5, 2.0, 3.0)
 _SIGMA_ROWS, _SIGMA_COLUMNS, _LOW, _HIGH = 176, 640, 0.85, 1.18
 # Stretches of a stripe that are burnt out in turn, lines, and their peaks; points further off than this are not read.
 _STRETCH, _IN_TURN, _FAR_PX = 107, (150.0, 600.0), 0.5
+# Peaks of dim stretches and of those between, and the ambient light.
+_DIM, _BRIGHT, _DARK_ROOM = (25.0, 40.0, 70.0), 150.0, (8, 8, 8)
 
 Table = tuple[Float[np.ndarray, "heights"], Float[np.ndarray, "heights"]]
 Photograph = UInt[np.ndarray, "rows columns 3"]
@@ -76,7 +79,9 @@ def measure(quick: bool) -> list[Metric]:
                     worst[color, peak, kind, name] = max(worst.get((color, peak, kind, name), 0.0), rms)
             print(f"    {color:6}{peak:6}{s:4} {cells}", flush=True)
     jax.clear_caches()
-    return [_metric(*which, rms) for which, rms in worst.items()] + _sigma(quick) + _in_turn(quick)
+    return (
+        [_metric(*which, rms) for which, rms in worst.items()] + _sigma(quick) + _in_turn(quick) + _dim_in_turn(quick)
+    )
 
 
 def _sigma(quick: bool) -> list[Metric]:
@@ -128,16 +133,9 @@ def _in_turn(quick: bool) -> list[Metric]:
 
 def _of_both_kinds(s: float, quality: int, speckle: float, kind: str) -> tuple[float, float, float, float]:
     """Error over gravity's and σ over the error of burnt-out lines, and the same of the others."""
-    x = np.arange(_SIGMA_COLUMNS)
-    frames, centres = [], []
-    for seed in range(4):
-        random = np.random.default_rng(seed)
-        centres.append(_SIGMA_ROWS / 2 + random.uniform(-4, 4) + 0.03 * (x - len(x) / 2) + 4 * np.sin(x / 60 + seed))
-        peak = np.where((x // _STRETCH + seed) % 2, *_IN_TURN)
-        drawn = draw("red", peak, (40, 40, 40), centres[-1], s, random, _SIGMA_ROWS, speckle=speckle)
-        frames.append(simplejpeg.decode_jpeg(simplejpeg.encode_jpeg(drawn, quality, "RGB", kind)))
-    own, other = (detect_stripe(np.stack(frames), StripeSettings("red"), detector=name) for name in _DETECTORS)
-    off, by_gravity = (np.where(each.valid, each.position - np.stack(centres), np.inf) for each in (own, other))
+    frames, centres, _ = _drawn_in_turn(s, quality, speckle, kind, _IN_TURN, (40, 40, 40))
+    own, other = (detect_stripe(frames, StripeSettings("red"), detector=name) for name in _DETECTORS)
+    off, by_gravity = (np.where(each.valid, each.position - centres, np.inf) for each in (own, other))
     both = (np.abs(off) < _FAR_PX) & (np.abs(by_gravity) < _FAR_PX)
     found = []
     for which in (both & own.burnt, both & ~own.burnt):
@@ -146,6 +144,62 @@ def _of_both_kinds(s: float, quality: int, speckle: float, kind: str) -> tuple[f
         )
         found += [rms / rms_of_gravity, 1 / in_sigma]
     return found[0], found[1], found[2], found[3]
+
+
+def _dim_in_turn(quick: bool) -> list[Metric]:
+    """Dim lines and others of the same photographs; in the short form without full colour resolution."""
+    print(
+        f"  dim in turn, quality {_QUALITY}, others {_BRIGHT:g}: colours, speckle, peak; "
+        "σ over the error of dim lines and others; of a stripe of σ = " + ", ".join(map(str, _SIGMA_WIDTHS[1:]))
+    )
+    found: list[tuple[float, float]] = []
+    kinds, peaks = (("420",), _DIM[::2]) if quick else (("444", "420"), _DIM)
+    for kind, speckle, peak in itertools.product(kinds, _SPECKLES, peaks):
+        row = []
+        for s in _SIGMA_WIDTHS[1:]:
+            frames, centres, dim = _drawn_in_turn(s, _QUALITY, speckle, kind, (_BRIGHT, peak), _DARK_ROOM)
+            own = detect_stripe(frames, StripeSettings("red"))
+            in_sigma = np.where(own.valid, (own.position - centres) / own.sigma, np.nan)
+            row.append((_over_error(in_sigma[dim]), _over_error(in_sigma[~dim])))
+        print(
+            f"    {kind} {speckle:g} {peak:g}  " + " | ".join("{:.2f} {:.2f}".format(*each) for each in row), flush=True
+        )
+        found += row
+    dim, others = np.array(found).T
+    return [
+        Metric("jpeg.dim_in_turn.dim_sigma_least", dim.min(), "", "higher", _LOW, 0.1),
+        Metric("jpeg.dim_in_turn.dim_sigma_most", dim.max(), "", "lower", _HIGH, 0.1),
+        Metric("jpeg.dim_in_turn.others_sigma_least", others.min(), "", "higher", _LOW, 0.1),
+        Metric("jpeg.dim_in_turn.others_sigma_most", others.max(), "", "lower", _HIGH, 0.1),
+    ]
+
+
+def _over_error(in_sigma: Float[np.ndarray, "lines"]) -> float:
+    return 1 / float(np.sqrt(np.nanmean(in_sigma**2)))
+
+
+def _drawn_in_turn(
+    s: float,
+    quality: int,
+    speckle: float,
+    kind: str,
+    peaks: tuple[float, float],
+    ambient: tuple[int, int, int],
+) -> tuple[
+    UInt[np.ndarray, "frames rows columns 3"], Float[np.ndarray, "frames lines"], Bool[np.ndarray, "frames lines"]
+]:
+    """Photographs of a stripe with two peaks in turn, its centres, and which lines have the second peak."""
+    x = np.arange(_SIGMA_COLUMNS)
+    frames, centres, second = [], [], []
+    for seed in range(4):
+        random = np.random.default_rng(seed)
+        centres.append(_SIGMA_ROWS / 2 + random.uniform(-4, 4) + 0.03 * (x - len(x) / 2) + 4 * np.sin(x / 60 + seed))
+        second.append((x // _STRETCH + seed) % 2 == 0)
+        drawn = draw(
+            "red", np.where(second[-1], *peaks[::-1]), ambient, centres[-1], s, random, _SIGMA_ROWS, speckle=speckle
+        )
+        frames.append(simplejpeg.decode_jpeg(simplejpeg.encode_jpeg(drawn, quality, "RGB", kind)))
+    return np.stack(frames), np.stack(centres), np.stack(second)
 
 
 def _sigma_over_error(s: float, quality: int, peak: float, speckle: float, kind: str, level: bool = False) -> float:

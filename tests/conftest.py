@@ -2,6 +2,7 @@
 
 import gc
 import os
+import shutil
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -72,6 +73,8 @@ def world(tmp_path_factory: pytest.TempPathFactory, worker_id: str) -> Path:
         try:
             with exclusive(folder.parent / "lock", "the small world"):
                 if not made.exists():
+                    # A process whose time ran out leaves a half.
+                    shutil.rmtree(folder, ignore_errors=True)
                     make(folder)
                     made.touch()
         except InUseError:

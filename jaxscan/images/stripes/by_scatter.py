@@ -32,6 +32,12 @@ _STEP_PX: Final = 1.0
 # away is no error but an edge of the surface; it is first estimated from the median, for which it is this number, and
 # then this number of times.
 _USUAL, _USUAL_OVER_SIGMA, _FAR, _MEDIAN_OVER_SIGMA, _LOOKS = 0.8, 1.2816, 4.0, 0.6745, 4
+# σ of a line goes with this power of σ of independent pixels: 1/2 on twelve scans of a cup, 0.5 to 1.4 in drawn JPEGs
+# whose stripe is dim in part. The usual power, how far a frame's is from it, and the largest.
+_USUAL_POWER, _OFF_BY_POWER, _MOST_POWER = 0.5, 0.5, 2.0
+# The standard deviation of the logarithm of a normal number, if this part of the usual stands for all smaller ones; and
+# the number of third differences that say what one does, because lines of one block are alike.
+_SCATTER_OF_LN, _SMALL, _ALIKE = 1.1, 0.02, 8
 # As few differences as this say nothing: from block to block, and over distances along which the stripe moves. More
 # scatter than speckle of contrast 0.7 makes, this times √σ of the stripe in px, is the surface's own.
 _FEWEST, _FEWEST_MOVING, _MOST = 100, 60, 0.3
@@ -63,8 +69,9 @@ def sigma_by_scatter(
 ) -> Lines:
     """σ of lines in photographs whose pixels do not show it, of each frame from how much its lines differ.
 
-    Which of a frame's lines are better, σ of independent pixels says by half: it is taken to the power of ½. Burnt-out
-    lines and others, which are measured in different ways, have a scatter of their own where there are enough of them.
+    Which of a frame's lines are better, σ of independent pixels says: by half, as is usual, or by as much as the
+    frame's lines show (`_power`). Burnt-out lines and others, which are measured in different ways, have a scatter of
+    their own where there are enough of them.
     A level stripe has the same error in all blocks, so that there σ is no less than that of independent pixels.
 
     Args:
@@ -82,27 +89,35 @@ def sigma_by_scatter(
     usual = ranked(sigma, known, 0.5)[:, None]
     position = np.where(known, position, np.float32(0))
     # Without any noise all lines are alike.
-    shape = np.where(known & (sigma > 0) & (usual > 0), np.sqrt(sigma * usual), np.float32(1))
+    ln = np.log(np.where(known & (sigma > 0) & (usual > 0), sigma, 1) / np.where(known & (usual > 0), usual, 1))
     # σ of a few burnt-out lines among others is without the speckle that a JPEG hides.
     some = (2 * (burnt & known).sum(axis=1) < known.sum(axis=1))[:, None]
-    shape = np.where(burnt & some, np.maximum(shape, usual), shape)
+    ln = np.where(burnt & some, np.maximum(ln, 0), ln)
     steps = surfaces(position, known)
     otherwise = np.where(smooth[:, None], np.float32(_USUAL_FACTOR), np.float32(1)) * sigma
     apart = [k for k in (ALONE if moving else IN_BLOCKS) if least_apart <= k < sigma.shape[1] / 3]
     if not apart:
         return otherwise
-    parts = [(*third_differences(position, shape, steps, k), _burnt_in_the_middle(burnt, k)) for k in apart]
-    if moving:
-        parts = _of_moving(parts, position, apart)
-    values, used, kind = (np.concatenate(each, axis=1) for each in zip(*parts, strict=True))
+
+    def differences(shape: Lines) -> _Part:
+        parts = [(*third_differences(position, shape, steps, k), _burnt_in_the_middle(burnt, k)) for k in apart]
+        if moving:
+            parts = _of_moving(parts, position, apart)
+        values, used, kind = (np.concatenate(each, axis=1) for each in zip(*parts, strict=True))
+        return values, used, kind
+
+    middle = np.concatenate([_in_the_middle(ln, k) for k in apart], axis=1)
+    shape = np.exp(_power(*differences(np.ones_like(ln)), middle)[:, None] * ln)
+    values, used, kind = differences(shape)
     fewest = _FEWEST_MOVING if moving else _FEWEST
     by = np.where(burnt, *(_scatter_of_kind(values, used, kind == one, fewest)[:, None] for one in (_BURNT, 0)))
     found = np.where(known, by * shape, np.float32(np.nan))
     level = _is_level(position, steps)[:, None]
     found = np.where(level, np.maximum(found, sigma), found)
     with np.errstate(invalid="ignore"):
-        told = by * usual < _MOST * np.sqrt(ranked(width, known, 0.5)[:, None] / FWHM)
-        told &= by < np.broadcast_to(most, len(sigma))[:, None]
+        told = by < _MOST * np.sqrt(ranked(width, known, 0.5)[:, None] / FWHM)
+        # Where pixels say that there is no error at all, no factor is too large.
+        told &= ~(by >= usual * np.broadcast_to(most, len(sigma))[:, None])
     return np.where(told, found, otherwise).astype(np.float32)
 
 
@@ -213,6 +228,44 @@ def _taken(size: int, apart: int) -> list[slice]:
     """The first to the last line of each third difference."""
     reach = 3 * apart
     return [slice(k * apart, size - reach + k * apart) for k in range(len(_THIRD))]
+
+
+def _in_the_middle(each: Lines, apart: int) -> Float[np.ndarray, "frames some"]:
+    """The mean of the middle two lines of each third difference."""
+    _, second, third, _ = _taken(each.shape[1], apart)
+    return (each[:, second] + each[:, third]) / 2
+
+
+def _power(
+    bends: Float[np.ndarray, "frames some"],
+    used: Bool[np.ndarray, "frames some"],
+    kind: Int[np.ndarray, "frames some"],
+    ln: Float[np.ndarray, "frames some"],
+) -> Float[np.ndarray, "frames"]:
+    """Which power of σ of independent pixels the scatter of each frame's lines follows.
+
+    The logarithm of a difference rises with that of σ by this slope. Where σ is alike in all lines, or where these are
+    few, it is the usual power.
+
+    Args:
+        bends: third differences.
+        used: which are of one surface.
+        kind: of how many burnt-out lines each is: between the kinds nothing is compared.
+        ln: the logarithm of σ of independent pixels in the middle of each.
+    """
+    usual = ranked(bends, used, 0.5)[:, None]
+    with np.errstate(invalid="ignore"):
+        used = used & (usual > 0) & (bends < _FAR / _MEDIAN_OVER_SIGMA * usual)
+    y = np.log(np.maximum(np.where(used, bends, 1) / np.where(usual > 0, usual, 1), _SMALL))
+    square, product = np.zeros(len(used)), np.zeros(len(used))
+    for one in range(_BURNT + 1):
+        here = used & (kind == one)
+        count = np.maximum(here.sum(axis=1, keepdims=True), 1)
+        u, v = (np.where(here, each - (each * here).sum(axis=1, keepdims=True) / count, 0) for each in (ln, y))
+        square, product = square + (u * u).sum(axis=1), product + (u * v).sum(axis=1)
+    of_lines, of_usual = 1 / (_SCATTER_OF_LN**2 * _ALIKE), 1 / _OFF_BY_POWER**2
+    power = (of_lines * product + of_usual * _USUAL_POWER) / (of_lines * square + of_usual)
+    return power.clip(0, _MOST_POWER)
 
 
 def _burnt_in_the_middle(burnt: Bool[np.ndarray, "frames lines"], apart: int) -> Int[np.ndarray, "frames some"]:
