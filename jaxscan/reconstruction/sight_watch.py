@@ -1,15 +1,15 @@
 """Whether each point of a scan could be seen from where the camera is said to have been.
 
-Poses in the reverse order, rotation matrices that are transposed, a stage that moved the other way than its steps say:
-all of them make a smooth surface, and nothing in a single frame is wrong. But where one thing stands before another,
-the camera would have looked through it. The line of sight from the camera of frame i to its point crosses the sheet of
-frame j at X; if frame j saw its surface before X, and clearly nearer, frame i looked through it. Rightly carried
-scans have few such points: under a handle, at strays.
+Poses in the reverse order, rotation matrices that are transposed, a stage that moved the other way than its steps say,
+a laser that was not the one that is named: all of them make a smooth surface, and nothing in a single frame is wrong.
+But where one thing stands before another, the camera would have looked through it. The line of sight from the camera of
+frame i to its point crosses the sheet of frame j at X; if frame j saw its surface before X, and clearly nearer, frame i
+looked through it. Rightly carried scans have few such points: under a handle, at strays.
 
 A mistake is named only where it explains them: with it put right, most of these points can be seen.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
 
 import numpy as np
@@ -21,7 +21,7 @@ from jaxscan.geometry import Pose
 from jaxscan.precision import as_numpy
 from jaxscan.reconstruction.range_image import RangeImage
 from jaxscan.reconstruction.turns import full_turn
-from jaxscan.rig import HeadPoses, Motion, ObjectPoses, given_poses, positions_of
+from jaxscan.rig import HeadPoses, Light, Motion, MovingLight, ObjectPoses, given_poses, positions_of
 
 # Lines of each frame that are remembered, and frames that are compared.
 _LINES, _FRAMES = 96, 64
@@ -49,10 +49,13 @@ class SightWatch:
 
     Args:
         motion: of the object.
+        others: the rig's lights that the scan does not name.
     """
 
-    def __init__(self, motion: Motion) -> None:
+    def __init__(self, motion: Motion, others: Sequence[Light] = ()) -> None:
         self._motion = motion
+        # One that an axis moves stands elsewhere in each frame: a scan by another light has no positions of that.
+        self._others = [light for light in others if not isinstance(light, MovingLight)]
         self._kept: list[tuple[Float[np.ndarray, "lines 3"], dict[str, float]]] = []
         self._count, self._every = 0, 1
 
@@ -71,7 +74,8 @@ class SightWatch:
     def notes(self) -> list[str]:
         """What is said of a scan whose camera would have looked through what it saw.
 
-        Of given poses, and where one axis alone moves along a line.
+        Of given poses, and where one axis alone moves. A full turn the other way round is as well seen: there only the
+        rig's other lights are tried.
         """
         some = self._kept[:: -(-len(self._kept) // _FRAMES) or 1]
         if len(some) < _FEWEST_FRAMES:
@@ -79,13 +83,18 @@ class SightWatch:
         seen = np.stack([profile for profile, _ in some])
         positions = {axis: np.array([q[axis] for _, q in some]) for axis in some[0][1]}
         moving = [axis for axis, q in positions.items() if not is_detail(axis) and np.ptp(q) > 0]
-        asked = len(moving) == 1 and full_turn(self._motion, moving) is None
-        if not asked or np.isfinite(seen[..., 0]).sum() < _FEWEST_POINTS:
+        if len(moving) != 1 or np.isfinite(seen[..., 0]).sum() < _FEWEST_POINTS:
             return []
-        found = hidden_share(seen, _cameras(self._motion, positions))
+        cameras = _cameras(self._motion, positions)
+        found = hidden_share(seen, cameras)
         if found <= _MANY:
             return []
-        left = {words: hidden_share(seen, at) for words, at in _mended(self._motion, positions, moving[0])}
+        tried = {_by(light): (_met(light, seen), cameras) for light in self._others}
+        if full_turn(self._motion, moving) is None:
+            tried |= {words: (seen, at) for words, at in _mended(self._motion, positions, moving[0])}
+        if not tried:
+            return []
+        left = {words: hidden_share(*case) for words, case in tried.items()}
         words = min(left, key=lambda each: left[each])
         if left[words] > min(_LEFT * found, _MANY):
             return []
@@ -98,6 +107,18 @@ class SightWatch:
 def _cameras(motion: Motion, positions: Mapping[str, Float[np.ndarray, "frames"]]) -> Pose[np.ndarray]:
     """T_object_camera of each frame."""
     return as_numpy(motion.pose(positions)).inverse()
+
+
+def _by(light: Light) -> str:
+    """Words that follow "but 0.1 %"."""
+    return f'by the light of laser "{light.name}": look which laser was on, and name it in [laser]'
+
+
+def _met(light: Light, seen: _Seen) -> _Seen:
+    """Where the same rays meet another light; NaN where they do not."""
+    rays = seen / seen[..., 2:]
+    inverse = np.asarray(light.inverse_depth(np.nan_to_num(rays)))
+    return np.where((inverse > 0)[..., None], rays / np.where(inverse > 0, inverse, 1)[..., None], np.nan)
 
 
 def _mended(

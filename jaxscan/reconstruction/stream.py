@@ -148,7 +148,8 @@ class Scanner:
         notes += sweep_notes(self._content, scan)
         notes += [*background_notes(self._content.rig, scan), *pose_notes(self._content, scan)]
         verdicts, watch, order = np.zeros(len(Verdict), int), LightWatch(), OrderWatch(self._content.rig.motion)
-        sight = SightWatch(self._content.rig.motion)
+        rig = self._content.rig
+        sight = SightWatch(rig.motion, [light for light in rig.lights if light is not rig.light(scan.laser.name)])
         # Whoever stops early stops the reader too.
         with ExitStack() as to_close:
             for image, counts in self._images(laser, scan, advance, watch, notes, to_close):

@@ -1,5 +1,6 @@
 """Poses by which the camera would have looked through what it saw are pointed out, and right ones are not."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -12,7 +13,7 @@ from jaxscan.geometry import Pose
 from jaxscan.precision import as_numpy
 from jaxscan.reconstruction import RangeImage
 from jaxscan.reconstruction.sight_watch import SightWatch
-from jaxscan.rig import Motion, given_poses, positions_of
+from jaxscan.rig import Light, Motion, given_poses, positions_of
 from jaxscan.simulation import rig_2003, robot, shapes
 from jaxscan.simulation.profile import true_profile
 
@@ -46,7 +47,7 @@ def drawn(name: str, moves: str, seed: int = 0) -> tuple[np.ndarray, Positions, 
     return np.stack(seen), given, rig.motion
 
 
-def notes(seen: np.ndarray, q: Positions, motion: Motion) -> list[str]:
+def notes(seen: np.ndarray, q: Positions, motion: Motion, others: Sequence[Light] = ()) -> list[str]:
     """What is said of these profiles, carried by these positions, in batches."""
     pose = as_numpy(motion.pose({axis: n.astype(float) for axis, n in q.items()}))
     places = pose.translation[:, None]
@@ -54,7 +55,7 @@ def notes(seen: np.ndarray, q: Positions, motion: Motion) -> list[str]:
     valid, none = np.isfinite(seen[..., 0]), np.zeros(seen.shape[:2], np.float32)
     points = np.einsum("fji,fcj->fci", turns, seen - places)
     image = RangeImage(points, none, none, none, none, valid, q, motion)
-    watch = SightWatch(motion)
+    watch = SightWatch(motion, others)
     for first in range(0, len(seen), 8):
         watch.see(image[first : first + 8, :])
     return watch.notes()
@@ -93,6 +94,25 @@ def test_a_stage_that_moved_the_other_way():
     seen, q, motion = drawn("cup", "stage")
     (note,) = notes(seen, {axis: -n for axis, n in q.items()}, motion)
     assert "the stage moved the other way than its steps say" in note
+
+
+@pytest.mark.parametrize("name", ["panda", "figure"])
+@pytest.mark.parametrize("on", [0, 1])
+def test_a_turn_by_the_light_of_the_other_laser(name: str, on: int):
+    rig = rig_2003.with_turntable(rig_2003.simulated_rig(1, lasers=2), 1)
+    scene = rig_2003.scan_scene(rig, getattr(shapes, name)(rig_2003.OBJECT_Y))
+    steps = rig_2003.turning_axes(80, rig_2003.step_over_axis(rig, on))
+    q = {axis: np.array(n) for axis, n in steps.items()}
+    at = [{axis: float(n[i]) for axis, n in q.items()} for i in range(len(q["turntable"]))]
+    points = [true_profile(rig, scene, each, lighting=rig_2003.SCAN_LIGHTING, laser=on).points for each in at]
+    seen = np.stack([as_numpy(rig.motion.pose(each)).apply(X) for each, X in zip(at, points, strict=True)])
+    right, wrong = rig.lights[on], rig.lights[1 - on]
+    assert notes(seen, q, rig.motion, [wrong]) == []
+    # The same rays, met with the plane of the laser that was not on.
+    elsewhere = seen / (seen @ np.array([float(w) for w in wrong.plane]))[..., None]
+    (note,) = notes(elsewhere, q, rig.motion, [right])
+    assert f'by the light of laser "{right.name}"' in note
+    assert notes(elsewhere, q, rig.motion) == []
 
 
 def test_what_shows_nothing_is_not_spoken_of():
