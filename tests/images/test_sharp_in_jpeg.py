@@ -111,3 +111,20 @@ def test_a_photograph_that_is_no_jpeg_is_not_smoothed():
     np.testing.assert_allclose(alone.position[0], both.position[0], atol=1e-4)
     np.testing.assert_allclose(alone.sigma[0], both.sigma[0], rtol=1e-4)
     np.testing.assert_allclose(np.nanmedian(both.width, axis=1), 2.355 * 0.8, rtol=0.1)
+
+
+def test_a_burnt_out_stripe_is_somewhere_between_its_flanks():
+    """Of a few lines no pixel says where: their σ was up to 1e20 px, and warnings of numbers that overflow."""
+    random = np.random.default_rng(0)
+    rows, columns, s = 176, 640, 0.74
+    centre = rows / 2 + random.uniform(-4, 4, (8, 1, 1)) * np.ones(columns)
+    edges = (np.arange(rows + 1)[:, None] - 0.5 - centre) / s
+    light = 600 * s * np.sqrt(2 * np.pi) * np.diff(ndtr(edges), axis=1) * random.gamma(25, 1 / 25, (8, rows, columns))
+    levels = 40 + light[..., None] * (1.0, 0.06, 0.03) + 1.5 * random.standard_normal((*light.shape, 3))
+    drawn = np.rint(levels.clip(0, 255)).astype(np.uint8)
+    found = detect_stripe(
+        np.stack([simplejpeg.decode_jpeg(simplejpeg.encode_jpeg(each, 75, "RGB", "444")) for each in drawn]),
+        StripeSettings("red"),
+    )
+    assert found.valid.mean() > 0.99
+    assert found.sigma[found.valid].max() < 2

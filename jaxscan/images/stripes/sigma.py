@@ -46,6 +46,9 @@ def sigma_of_centres(
     sensor = light.sensor
     for i in np.flatnonzero(light.correlation[:count, 0]):
         sigma[i] *= widening(light.correlation[i], sensor, int(i), width[i], measured.relief[i])
+    # Bounds that a burnt-out stripe's pixels set may leave its centre anywhere between its flanks, and no further.
+    anywhere = np.where(measured.burnt, measured.breadth / np.float32(np.sqrt(12)), np.float32(np.inf))
+    sigma = np.where(sigma > anywhere, anywhere, sigma)
     independent = widened_by_flanks(sigma, measured.breadth, measured.burnt, sensor)
     sigma = widened_by_scatter(independent, position, measured.burnt, sensor)
     coded = (light.jpeg | light.video)[:count]
