@@ -409,7 +409,7 @@ class _Laser:
         Args:
             two: positions of the axes at two frames, one after the other; None where there are none.
         """
-        if two is None or not self._thickness_mm or self._moves:
+        if two is None or not self._thickness_mm:
             return 0
         return frames_apart(self._rig, self._laser.name, self._thickness_mm, two)
 
@@ -418,7 +418,12 @@ class _Laser:
         if not apart:
             return found
         sheet = ThickSheet.create(self._rig, self._laser.name, self._thickness_mm, self._laser.columns)
-        return middles(found, apart, sheet, self._kernel, self._rig.motion)
+
+        def light_of(q: Positions) -> tuple[ThickSheet, Kernel]:
+            there = sheet.with_lights(light_at(self._light, q)) if self._moves else sheet
+            return there, self._kernel_at(q)
+
+        return middles(found, apart, light_of, self._rig.motion)
 
     def passages(
         self, geometry: Geometry, width: float, batches: Iterable[Frames], axes: Sequence[str]

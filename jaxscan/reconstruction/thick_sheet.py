@@ -24,7 +24,7 @@ neighbours are not of one smooth piece with what a frame sees, they are not aske
 its neighbours show is more than their noise.
 """
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from itertools import chain
 from typing import Final
@@ -42,8 +42,8 @@ from jaxscan.kept_programs import compiled
 from jaxscan.precision import as_numpy
 from jaxscan.reconstruction.range_image import RangeImage
 from jaxscan.reconstruction.triangulate import FramePoses, Kernel, triangulate_stripes
-from jaxscan.rig import Camera, Light, Motion, Rig
-from jaxscan.rig.light import distance, laser_place, nameless
+from jaxscan.rig import Camera, Light, Motion, Positions, Rig
+from jaxscan.rig.light import distance, laser_place, light_at, nameless
 from jaxscan.rig.projection import pixel_rays
 
 Lines = Float[Array, "frames lines"]
@@ -85,7 +85,7 @@ class ThickSheet(eqx.Module):
 
     Attributes:
         camera: which sees it.
-        light: the sheet's middle.
+        light: the sheet's middle; or a stack for frames in each of which it stands elsewhere, numbers (frames, 1).
         laser: where it stands, camera frame, mm.
         sigma_mm: s.
         columns: whether lines are columns of the image.
@@ -104,6 +104,14 @@ class ThickSheet(eqx.Module):
         given = (rig.camera, nameless(light), laser_place(light), np.asarray(sigma_mm))
         return ThickSheet(*jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), given), columns=columns)
 
+    def with_lights(self, lights: Light) -> "ThickSheet":
+        """The same where the light stands elsewhere in each frame: a stack of lights."""
+        of_frames = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf)[:, None], jnp.float32), nameless(lights))
+        return eqx.tree_at(lambda sheet: sheet.light, self, of_frames)
+
+
+LightOf = Callable[[Positions], tuple[ThickSheet, Kernel]]
+
 
 def frames_apart(rig: Rig, laser: str, sigma_mm: float, q: Mapping[str, Int[np.ndarray, "2"]]) -> int:
     """How many frames apart those are that show the surface beside the sheet; 0 where none do.
@@ -114,26 +122,26 @@ def frames_apart(rig: Rig, laser: str, sigma_mm: float, q: Mapping[str, Int[np.n
         sigma_mm: how thick its sheet is.
         q: positions of the rig's axes at two frames, one after the other.
     """
-    light, (columns, rows) = rig.light(laser), rig.camera.image_size
+    at = [{axis: np.float64(steps[i]) for axis, steps in q.items()} for i in (0, 1)]
+    (light, next_light), (columns, rows) = (light_at(rig.light(laser), each) for each in at), rig.camera.image_size
     u, v = (np.linspace(0.0, size - 1.0, _GRID) for size in (columns, rows))
     rays = pixel_rays(rig.camera, np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2))
     w = np.asarray(light.inverse_depth(rays))
     X = rays[w > 0] / w[w > 0, None]
-    now, then = (as_numpy(rig.pose({axis: np.float64(steps[i]) for axis, steps in q.items()})) for i in (0, 1))
-    moved = distance(light, then.apply(now.inverse().apply(X)))
+    now, then = (as_numpy(rig.pose(each)) for each in at)
+    moved = distance(next_light, then.apply(now.inverse().apply(X)))
     step = float(np.median(np.abs(moved))) if len(X) else 0.0
     near = np.ceil(_APART / 2 * sigma_mm / step) if step > 0 else np.inf
     return 2 * int(near) if near <= _MOST_FRAMES / 2 else 0
 
 
-def middles(found: Iterable[Looked], apart: int, sheet: ThickSheet, kernel: Kernel, motion: Motion) -> Iterator[Looked]:
+def middles(found: Iterable[Looked], apart: int, light_of: LightOf, motion: Motion) -> Iterator[Looked]:
     """Range images with their points where the middle of the sheet met the surface, and their stripes as they were.
 
     Args:
         found: frames in their order, in batches of any size.
         apart: how many frames before and behind a frame are looked at, as `frames_apart` gives it.
-        sheet: the light.
-        kernel: triangulates in it.
+        light_of: the light as it stands in frames at these positions, and what triangulates in it.
         motion: of the object.
     """
     held: list[Looked] = []
@@ -147,14 +155,14 @@ def middles(found: Iterable[Looked], apart: int, sheet: ThickSheet, kernel: Kern
         ready = len(image.valid) - (0 if batch is None else apart)
         while done < ready and (batch is None or ready - done >= FRAMES_AT_ONCE):
             here = slice(done, min(done + FRAMES_AT_ONCE, ready))
-            yield _middles_of(image, stripe, here, apart, sheet, kernel, motion), stripe[here]
+            yield _middles_of(image, stripe, here, apart, light_of, motion), stripe[here]
             done = here.stop
         kept = slice(max(done - apart, 0), None)
         held, done = [(image[kept, :], stripe[kept])], min(done, apart)
 
 
 def _middles_of(
-    image: RangeImage, stripe: Stripe, here: slice, apart: int, sheet: ThickSheet, kernel: Kernel, motion: Motion
+    image: RangeImage, stripe: Stripe, here: slice, apart: int, light_of: LightOf, motion: Motion
 ) -> RangeImage:
     """Some frames of a range image, with their points in the sheet's middle; arrays keep one size."""
     count, size = here.stop - here.start, FRAMES_AT_ONCE
@@ -171,6 +179,7 @@ def _middles_of(
 
     q = {axis: np.pad(steps, (0, size - count), mode="edge") for axis, steps in own.positions.items()}
     frames = FramePoses.create(motion, q, size)
+    sheet, kernel = light_of(q)
     core = np.where(stripe.burnt, stripe.breadth / 2, np.float32(0.0))
     seen = Seen(*(filled(x, here.start)[0] for x in (image.pixels, stripe.width / FWHM, core)))
     beside = filled(image.points, *(here.start + by for by in (-apart, -apart // 2, apart // 2, apart)))

@@ -15,10 +15,11 @@ from jaxscan.precision import as_numpy, float64
 from jaxscan.reconstruction import RangeImage
 from jaxscan.reconstruction.thick_sheet import ThickSheet, frames_apart, middles
 from jaxscan.reconstruction.triangulate import FramePoses, Kernel, triangulate
-from jaxscan.rig import Camera, LightPlane, Linear, Rig
-from jaxscan.rig.light import distance, laser_place
+from jaxscan.rig import Camera, Light, LightPlane, Linear, MovingLight, Positions, Rig
+from jaxscan.rig.light import distance, laser_place, light_at
 from jaxscan.rig.projection import pixel_rays
 from jaxscan.simulation import rig_2003
+from jaxscan.simulation.swept import MIDDLE, with_sweep
 
 RADIUS, APART, SIGMA, BLUR = 10.0, 1000, 0.25, 0.6
 COLUMNS = np.arange(276, 322)
@@ -32,27 +33,37 @@ def rig() -> Rig:
 
 @pytest.fixture(scope="module")
 def ball(rig) -> dict[str, np.ndarray]:
-    """The stripes of a ball in a blurred image: centre of gravity, standard deviation, and the sheet's own middle."""
-    travel = np.asarray(rig.pose({"stage": STEPS.astype(float)}).translation)
-    R, origin = rig_2003.platform(rig)
+    return ball_seen(rig, rig)
+
+
+def ball_seen(rig: Rig, where: Rig) -> dict[str, np.ndarray]:
+    """The stripes of a ball in a blurred image: centre of gravity, standard deviation, and the sheet's own middle.
+
+    Args:
+        rig: sees it.
+        where: the rig on whose platform it stands.
+    """
+    R, origin = rig_2003.platform(where)
     middle = origin + R @ np.array([-6.0, 8.0, 6.0])
     fine = np.arange(COLUMNS[0] - 3.0, COLUMNS[-1] + 3.0, 0.25)
     mix = np.exp(-((COLUMNS[:, None] - fine) ** 2) / (2 * (BLUR**2 + 1 / 12)))
     found = {name: np.full((len(STEPS), len(COLUMNS)), np.nan) for name in ("seen", "bell", "true")}
-    for f, way in enumerate(travel):
+    for f in range(len(STEPS)):
+        q = {axis: np.float64(steps[f]) for axis, steps in positions(rig).items()}
+        light, place = light_at(rig.light(), q), middle + np.asarray(rig.pose(q).translation)
         rows = np.arange(60.0, 420.0)
-        d, _ = on_ball(rig, fine, np.broadcast_to(rows, (len(fine), len(rows))), middle + way)
+        d, _ = on_ball(rig, light, fine, np.broadcast_to(rows, (len(fine), len(rows))), place)
         cross = d[:, :-1] * d[:, 1:] < 0
         whole = cross.sum(axis=1) == 1
         k = np.where(whole, cross.argmax(axis=1), 0)
         near, then = (np.take_along_axis(d, (k + by)[:, None], 1)[:, 0] for by in (0, 1))
         start = np.where(whole, rows[k] - near / (then - near), np.nan)
         v = start[:, None] + np.arange(-6.0, 6.05, 0.1)
-        d, light = on_ball(rig, fine, v, middle + way)
+        d, shine = on_ball(rig, light, fine, v, place)
         # Whole stripes alone: on one smooth piece, away from the rim.
         whole &= np.isfinite(d).all(axis=1)
-        light = np.where(whole[:, None], light, 0.0)
-        moments = [np.nan_to_num(light * np.nan_to_num(v) ** n).sum(axis=1) for n in (0, 1, 2)]
+        shine = np.where(whole[:, None], shine, 0.0)
+        moments = [np.nan_to_num(shine * np.nan_to_num(v) ** n).sum(axis=1) for n in (0, 1, 2)]
         total, first, second = (mix @ moment for moment in moments)
         clear = mix @ ~whole < 1e-3
         with np.errstate(invalid="ignore", divide="ignore"):
@@ -69,8 +80,18 @@ def ball(rig) -> dict[str, np.ndarray]:
     return found
 
 
+def positions(rig: Rig) -> dict[str, np.ndarray]:
+    """Of each frame: of the stage, or of the axis that moves the light, about a millimetre apart."""
+    light = rig.light()
+    return {light.axis: MIDDLE + 17 * STEPS // APART} if isinstance(light, MovingLight) else {"stage": STEPS}
+
+
 def on_ball(
-    rig: Rig, u: Float[np.ndarray, "columns"], v: Float[np.ndarray, "columns rows"], middle: Float[np.ndarray, "3"]
+    rig: Rig,
+    sheet: Light,
+    u: Float[np.ndarray, "columns"],
+    v: Float[np.ndarray, "columns rows"],
+    middle: Float[np.ndarray, "3"],
 ) -> tuple[Float[np.ndarray, "columns rows"], Float[np.ndarray, "columns rows"]]:
     """How far off the sheet what pixels see of the ball lies, mm, and its light; NaN where they pass it."""
     pixels = np.stack([np.broadcast_to(u[:, None], v.shape), v], axis=-1).reshape(-1, 2)
@@ -81,9 +102,9 @@ def on_ball(
         X = rays * (b - np.sqrt(b**2 - middle @ middle + RADIUS**2))[:, None]
     to_laser = laser_place(rig.light()) - X
     cosine = ((X - middle) * to_laser).sum(axis=1) / RADIUS / np.linalg.norm(to_laser, axis=1)
-    d = np.where(np.isfinite(pixels[:, 1]), distance(rig.light(), X), np.nan)
-    light = np.maximum(cosine, 0) * np.exp(-(d**2) / (2 * SIGMA**2))
-    return d.reshape(v.shape), light.reshape(v.shape)
+    d = np.where(np.isfinite(pixels[:, 1]), distance(sheet, X), np.nan)
+    shine = np.maximum(cosine, 0) * np.exp(-(d**2) / (2 * SIGMA**2))
+    return d.reshape(v.shape), shine.reshape(v.shape)
 
 
 def looked(
@@ -98,10 +119,10 @@ def looked(
     wide[:, COLUMNS] = FWHM * bell
     position = np.full((len(seen), width), np.nan, np.float32)
     position[:, COLUMNS] = seen
-    q = {"stage": STEPS}
+    q = positions(rig)
     frames = FramePoses.create(rig.motion, q, len(seen))
     u, v = map(jnp.asarray, u_and_v(position, columns))
-    points = np.asarray(triangulate(Kernel.create(rig), frames, u, v))
+    points = np.asarray(triangulate(kernel_at(rig, q), frames, u, v))
     valid, one = np.isfinite(points).all(axis=-1), np.ones_like(position)
     frame = np.zeros(len(seen), np.float32)
     stripe = Stripe(
@@ -124,10 +145,20 @@ def looked(
     return image, stripe
 
 
+def kernel_at(rig: Rig, q: Positions) -> Kernel:
+    kernel = Kernel.create(rig)
+    return kernel.with_lights(light_at(rig.light(), q)) if isinstance(rig.light(), MovingLight) else kernel
+
+
 def corrected(rig: Rig, parts: list[tuple[RangeImage, Stripe]], columns: bool = True) -> RangeImage:
     sheet = ThickSheet.create(rig, "", SIGMA, columns)
-    apart = frames_apart(rig, "", SIGMA, {"stage": STEPS[:2]})
-    return RangeImage.joined([image for image, _ in middles(parts, apart, sheet, Kernel.create(rig), rig.motion)])
+    apart = frames_apart(rig, "", SIGMA, {axis: steps[:2] for axis, steps in positions(rig).items()})
+
+    def light_of(q: Positions) -> tuple[ThickSheet, Kernel]:
+        moves = isinstance(rig.light(), MovingLight)
+        return sheet.with_lights(light_at(rig.light(), q)) if moves else sheet, kernel_at(rig, q)
+
+    return RangeImage.joined([image for image, _ in middles(parts, apart, light_of, rig.motion)])
 
 
 def test_a_ball_is_found_where_it_is(rig, ball):
@@ -146,6 +177,21 @@ def test_a_ball_is_found_where_it_is(rig, ball):
     assert np.sqrt(np.mean(after[whole] ** 2)) < 0.08 * before[whole].mean()
     # Points go where the pixels do.
     again, _ = looked(rig, found.pixels[:, COLUMNS], ball["bell"])
+    np.testing.assert_allclose(found.points, again.points, atol=1e-5)
+
+
+def test_under_a_light_that_moves_a_ball_is_found_where_it_is(rig):
+    """By the sheet as it stands in each frame."""
+    swept = with_sweep(rig, 0)
+    ball = ball_seen(swept, rig)
+    image, stripe = looked(swept, ball["seen"], ball["bell"])
+    found = corrected(swept, [(image, stripe)])
+    before, after = (each.pixels[:, COLUMNS] - ball["true"] for each in (image, found))
+    moved = (found.pixels != image.pixels)[:, COLUMNS] & np.isfinite(before)
+    assert moved.sum() > 120
+    assert 0.01 < before[moved].mean() < 0.03
+    assert abs(after[moved].mean()) < 0.2 * before[moved].mean()
+    again, _ = looked(swept, found.pixels[:, COLUMNS], ball["bell"])
     np.testing.assert_allclose(found.points, again.points, atol=1e-5)
 
 
