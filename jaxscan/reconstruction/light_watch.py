@@ -24,9 +24,9 @@ _WITH_IT = 0.5
 _MANY_JUMPS = 0.25
 # Bands are worth a note from this part of the level and this number of grey levels on.
 _BANDS, _LEAST_BANDS = 0.02, 1.5
-# In grey photographs the room's light counts where it differs by this part of the stripe's strength, and this number of
-# grey levels, over the middle of its values.
-_ROOM, _LEAST_ROOM, _MIDDLE = 0.3, 15.0, (0.1, 0.9)
+# The room's light counts where it differs by this part of the stripe's strength, and this number of grey levels, over
+# the middle of its values: in grey photographs, and where colours tell it from the laser's.
+_ROOM, _ROOM_OF_COLOUR, _LEAST_ROOM, _MIDDLE = 0.3, 0.5, 15.0, (0.1, 0.9)
 # Grey levels of photographs of 16 bits for each one of 8.
 _OF_16_BITS = 257.0
 _LEAST_LINES, _LEAST_PAIRS, _LEAST_PIXELS, _LEAST_QUARTERS = 20, 3, 10, 3
@@ -103,7 +103,7 @@ class LightWatch:
         Args:
             exposures_known: whether the scan says how long each frame was exposed.
             background: whether a photograph with the laser off is subtracted.
-            grey: whether the laser's colour is grey, so that the room's light does not cancel.
+            grey: whether the laser's colour is grey, so that no colour tells it from the room's light.
         """
         return [
             *self._smoothed(),
@@ -112,7 +112,7 @@ class LightWatch:
             *self._overexposed(),
             *([] if exposures_known else self._jumps(background)),
             *self._flicker(background),
-            *(self._lit_room() if grey and not background else []),
+            *([] if background else self._lit_room(grey)),
         ]
 
     def _smoothed(self) -> list[str]:
@@ -140,18 +140,25 @@ class LightWatch:
             "lines are not independent of each other: a monochrome camera shows the stripe better"
         ]
 
-    def _lit_room(self) -> list[str]:
+    def _lit_room(self, grey: bool) -> list[str]:
         differ, strength = np.array(self._differ), np.array(self._strength)
         known = np.isfinite(strength)
-        lit = known & (differ > _LEAST_ROOM) & (differ > _ROOM * np.nan_to_num(strength))
+        share = _ROOM if grey else _ROOM_OF_COLOUR
+        lit = known & (differ > _LEAST_ROOM) & (differ > share * np.nan_to_num(strength))
         if lit.sum() <= _MANY_FRAMES * known.sum():
             return []
+        lost = (
+            "along silhouettes and edges of shadows points are less exact than σ says or are lost, and lit borders may "
+            "be taken for the stripe: switch other light off, put a filter of the laser's colour before the lens"
+            if grey
+            else "on dark paint points are lost, and paint of the laser's colour may be taken for the stripe: switch "
+            "other light off"
+        )
         return [
-            f"the light of the room differs by {np.median(differ[lit]):.0f} grey levels within these grey photographs, "
-            f"and the stripe stands {np.median(strength[lit]):.0f} levels high: along silhouettes and edges of shadows "
-            "points are less exact than σ says or are lost, and lit borders may be taken for the stripe: switch other "
-            "light off, put a filter of the laser's colour before the lens, or photograph each frame with the laser "
-            'off too (scanner scan --dark, background = "dark/*.png" in scan.toml)'
+            f"the light of the room differs by {np.median(differ[lit]):.0f} grey levels within these "
+            f"{'grey ' * grey}photographs, and the stripe stands {np.median(strength[lit]):.0f} levels high: {lost}, "
+            'or photograph each frame with the laser off too (scanner scan --dark, background = "dark/*.png" in '
+            "scan.toml; one such photograph is enough where nothing but the light moves)"
         ]
 
     def _overexposed(self) -> list[str]:
