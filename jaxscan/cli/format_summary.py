@@ -28,10 +28,19 @@ def _session(summary: Summary) -> Iterator[Line]:
     yield "views", f"{summary['views']} photographs of {_size(summary['image_size'])}"
     for laser in summary["lasers"]:
         where = "in the photographs of the board"
-        if summary["stripes"]:
+        if sweep := laser["sweep"]:
+            where = f"in {sweep['photographs']} photographs"
+        elif summary["stripes"]:
             where = f"in {summary['stripes'][laser['name']]} photographs of its own"
         sheet = "" if laser["sheet"] == "plane" else f", sheet {laser['sheet']}"
         yield _called("laser", laser), f"{_stripe(laser)}, {where}{sheet}"
+        if sweep := laser["sweep"]:
+            at = sweep["positions"]
+            steps = ", ".join(map(str, at)) if len(at) <= _MOST_NUMBERS else f"{at[0]} … {at[-1]}"
+            yield (
+                _called("sweep", laser),
+                f'{sweep["boards"]} boards × {len(at)} positions of axis "{sweep["axis"]}": {steps}',
+            )
     if not summary["lasers"]:
         yield "laser", "none: the rig will have none"
     stage = summary["stage"]

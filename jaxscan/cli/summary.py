@@ -25,7 +25,7 @@ from jaxscan.files.profiles import read_profiles
 from jaxscan.files.rig_checks import image_rays
 from jaxscan.files.rig_file import read_rig
 from jaxscan.files.scan import read_scan
-from jaxscan.files.session import read_session
+from jaxscan.files.session import Session, read_session
 from jaxscan.geometry import Pose, matrix_to_vector
 from jaxscan.images import StripeSettings
 from jaxscan.images.light import Light
@@ -68,7 +68,7 @@ def session_summary(path: Path) -> Summary:
         "views": len(session.views.boards),
         "stripes": None if views.stripes is None else {name: len(paths) for name, paths in stripes.items()},
         "lasers": [
-            {**_laser_settings(laser), "sheet": sheet}
+            {**_laser_settings(laser), "sheet": sheet, "sweep": _sweep(session, laser.name)}
             for laser, sheet in zip(session.lasers, session.sheets or ["plane"] * len(session.lasers), strict=True)
         ],
         "stage": session.stage
@@ -88,6 +88,20 @@ def session_summary(path: Path) -> Summary:
             "sigma_deg": session.poses.sigma_deg,
             **_way(session.poses.poses),
         },
+    }
+
+
+def _sweep(session: Session, laser: str) -> Summary | None:
+    """Where a light that is moved stood in the photographs of the boards; None where none moves it."""
+    if laser not in session.views.sweeps:
+        return None
+    sweeps = session.views.sweeps[laser]
+    positions = sorted({step for sweep in sweeps for step, _ in sweep})
+    return {
+        "axis": session.light_axes[laser],
+        "boards": sum(map(bool, sweeps)),
+        "photographs": sum(map(len, sweeps)),
+        "positions": positions,
     }
 
 

@@ -22,6 +22,8 @@ from jaxscan.files.table import PassedOverWarning, Table
 from jaxscan.images import StripeSettings
 
 SCAN_FILE: Final = "scan.toml"
+# What a session's [laser] has besides.
+_OF_THE_RIG: Final = ("sheet", "axis", "stripes", "stripe_steps")
 VIDEO_ENDINGS: Final = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".wmv")
 
 
@@ -111,7 +113,14 @@ def _read(path: Path) -> tuple[Scan, bool]:
     )
     laser = StripeSettings()
     if "laser" in table:
-        laser = read_stripe_settings(table.table("laser", "[laser] ").only("name", "color", "columns"))
+        own = table.table("laser", "[laser] ")
+        for key in _OF_THE_RIG:
+            if key in own:
+                raise own.error(
+                    key,
+                    "leave it out: a scan has it from the rig; [laser] of scan.toml has name, color and columns alone",
+                )
+        laser = read_stripe_settings(own.only("name", "color", "columns"))
     video = _video(inner)
     frames = () if video else files_of(inner, "frames")
     poses = None

@@ -1,5 +1,6 @@
 """Stripes of a light that moves: of each board several photographs, with the light at several positions."""
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from itertools import chain
 from pathlib import Path
@@ -64,10 +65,19 @@ def read_sweeps(table: Table, boards: Sequence[Path], axis: str) -> tuple[Sweep,
         )
     steps = steps if len(steps) == len(paths) else steps * len(boards)
     pairs = list(zip(steps, paths, strict=True))
-    return tuple(
+    sweeps = tuple(
         tuple((step, path) for step, path in pairs[i * each : (i + 1) * each] if path is not None)
         for i in range(len(boards))
     )
+    for board, sweep in zip(boards, sweeps, strict=True):
+        step, count = Counter(step for step, _ in sweep).most_common(1)[0] if sweep else (0, 0)
+        if count > 1:
+            raise table.error(
+                STEPS,
+                f"{count} stripes on {board.name} are at step {step}: give each the position at which it was "
+                'photographed, and where it was photographed twice "" in stripes for one of them',
+            )
+    return sweeps
 
 
 def sweeps_values(sweeps: Sequence[Sweep], folder: Path) -> Mapping[str, Any]:

@@ -195,9 +195,9 @@ def sweep_notes(content: RigFile, scan: Scan) -> list[str]:
         beyond = max(least - min(steps, default=least), max(steps, default=most) - most)
         if beyond > _BEYOND * (most - least):
             notes.append(
-                f"the {axis} goes from {min(steps)} to {max(steps)} steps, the calibration from {least:g} to {most:g}: "
-                "beyond, errors grow as σ says, and faster if the axis is not the one that was fitted: calibrate over "
-                "the whole sweep"
+                f'axis "{axis}" goes from {min(steps)} to {max(steps)} steps, the calibration from {least:g} to '
+                f"{most:g}: beyond, errors grow as σ says, and faster if the axis is not the one that was fitted: "
+                "count its steps from the same place as in the session, or calibrate over the whole sweep"
             )
     return notes
 

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float, UInt
 
 from jaxscan.axis_details import is_detail
+from jaxscan.files.axes import STAGE
 from jaxscan.files.listing import gap_in_numbers
 from jaxscan.files.scan import Scan
 from jaxscan.files.text_order import text_order_note
@@ -29,19 +30,36 @@ REASONS: Final = {
 }
 # Below this part of the points nothing is said of those that are left out.
 _WORTH_A_NOTE: Final = 0.02
+# Outside of the depths lies more than this part of all points where a light does not stand where its steps say.
+_MANY_OUTSIDE: Final = 0.1
 # Frames in which other colours are tried.
 _TRIED: Final = 3
 
 
-def left_out_notes(left_out: dict[str, int], points: int, depths_mm: tuple[float, float] | None) -> list[str]:
-    """What is said of lines without a point, where they are many."""
+def left_out_notes(
+    left_out: dict[str, int], points: int, depths_mm: tuple[float, float] | None, swept_by: str | None = None
+) -> list[str]:
+    """What is said of lines without a point, where they are many.
+
+    Args:
+        left_out: how many lines have none, for each reason of `REASONS`.
+        points: how many have one.
+        depths_mm: the nearest and the farthest depth that was looked at; None for all.
+        swept_by: the axis that moved the light in this scan; None where none did.
+    """
     outside, weak = (left_out[REASONS[verdict]] for verdict in (Verdict.OUTSIDE, Verdict.WEAK))
     notes = []
     if depths_mm is not None and outside:
         near, far = depths_mm
+        first = ""
+        if swept_by is not None and outside > _MANY_OUTSIDE * (outside + points):
+            first = (
+                f'see whether the steps of axis "{swept_by}" are counted from the same place and in the same direction '
+                "as in the session that the rig is from, or all points are wrong; if they are, "
+            )
         notes.append(
-            f"{outside} points were left out that would lie nearer than {near:.0f} or farther than {far:.0f} mm: set "
-            "the depths of the scene with --depths NEAR,FAR, or keep all of them with --depths 0,inf"
+            f"{outside} points were left out that would lie nearer than {near:.0f} or farther than {far:.0f} mm: "
+            f"{first}set the depths of the scene with --depths NEAR,FAR, or keep all of them with --depths 0,inf"
         )
     if weak > _WORTH_A_NOTE * points:
         notes.append(
@@ -54,13 +72,14 @@ def left_out_notes(left_out: dict[str, int], points: int, depths_mm: tuple[float
 def gap_notes(scan: Scan) -> list[str]:
     """What is said of photographs that are missing among those of an evenly moving axis."""
     gap = gap_in_numbers(scan.frames) if scan.exposures_s is None else None
-    moving = [steps for steps in scan.axes.values() if len(set(steps)) > 1]
-    even = bool(moving) and all(len({b - a for a, b in pairwise(steps)}) == 1 for steps in moving)
+    moving = {axis: steps for axis, steps in scan.axes.items() if len(set(steps)) > 1}
+    even = bool(moving) and all(len({b - a for a, b in pairwise(steps)}) == 1 for steps in moving.values())
     if gap is None or not even:
         return []
+    under = "steps" if list(moving) == [STAGE] else f"[scan.axes] {' and '.join(moving)}"
     return [
         f"{gap[1].name} follows {gap[0].name}, as if photographs were missing, but the axis is said to have moved "
-        "evenly from each to the next: put them there, or list where it stood for each photograph under steps"
+        f"evenly from each to the next: put them there, or list where it stood for each photograph under {under}"
     ]
 
 

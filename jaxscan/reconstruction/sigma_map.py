@@ -88,7 +88,7 @@ class SigmaMap(eqx.Module):
         basis = chebyshev.chebvander2d(u, v, [degree, degree])
         # A spans decades, and where it is small it is known as well, in proportion.
         weight = 1 / np.sqrt(np.maximum(A[seen], max(1e-9 * A[seen].max(initial=0.0), 1e-300)))[:, None]
-        weight /= np.median(weight)
+        weight /= np.median(weight) if seen.any() else 1.0
         fitted = np.linalg.lstsq(weight * basis[seen], weight * values[seen], rcond=1e-10)[0]
         fitted = fitted.reshape(degree + 1, degree + 1, -1)
         lines, length = (width, height) if columns else (height, width)

@@ -145,7 +145,8 @@ class Scanner:
         frames = seen = points = 0
         self.notes, self.left_out = [], {}
         notes = [*way_notes(self._content.rig, scan), *doubts(scan.checks), *gap_notes(scan), *order_notes(scan)]
-        notes += sweep_notes(self._content, scan)
+        beyond = sweep_notes(self._content, scan)
+        notes += beyond
         notes += [*background_notes(self._content.rig, scan), *pose_notes(self._content, scan)]
         verdicts, watch, order = np.zeros(len(Verdict), int), LightWatch(), OrderWatch(self._content.rig.motion)
         rig = self._content.rig
@@ -165,12 +166,16 @@ class Scanner:
         if not frames:
             raise InputError(f"{scan.path}: the scan has no frames")
         left_out = {reason: int(verdicts[verdict]) for verdict, reason in REASONS.items()}
-        last = left_out_notes(left_out, points, self._depths_mm)
+        light = rig.light(scan.laser.name)
+        swept_by = light.axis if isinstance(light, MovingLight) and light.axis in scan.axis_names else None
+        last = left_out_notes(left_out, points, self._depths_mm, swept_by)
         last += watch.notes(scan.exposures_s is not None, bool(scan.backgrounds), scan.laser.color == "grey")
         last += order.notes([] if self._spacetime else frame_names(scan, frames)) + sight.notes()
         if not seen:
             raise InputError(
-                f"{scan.path}: no stripe was found in any of {frames} frames{in_another_colour(scan)}: check [laser] "
+                # A light that stands elsewhere than its steps say is looked for where it is not, in any colour.
+                f"{scan.path}: no stripe was found in any of {frames} frames"
+                f"{'' if beyond else in_another_colour(scan)}: {''.join(f'{note}; ' for note in beyond)}check [laser] "
                 f'color ("{scan.laser.color}") and columns ({str(scan.laser.columns).lower()}), and look at one with '
                 "jaxscan inspect SCAN --frame 0 --png" + "".join(f"; {note}" for note in last)
             )
@@ -178,7 +183,7 @@ class Scanner:
         if not points:
             raise InputError(
                 f"{scan.path}: a stripe was found, but no ray through it meets the rig's light plane within its lens: "
-                "check that the rig is that of this scan"
+                "check that the rig is that of this scan" + "".join(f"; {note}" for note in beyond)
             )
 
     def frames(

@@ -204,7 +204,7 @@ def stripes(diagnostics: Diagnostics) -> Section:
     """The shape of each stripe."""
     rows = tuple(
         (
-            f"{s.name} {s.laser}".strip(),
+            f"{s.label} {s.laser}".strip(),
             str(len(s.along_px)),
             f"{s.offset_mm:+z.3f}",
             f"{s.tilt_mm:+z.3f}",

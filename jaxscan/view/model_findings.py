@@ -1,11 +1,17 @@
 """Findings about what the photographs show and the model does not follow: lens, flat boards, straight stage, noise."""
 
+from collections.abc import Sequence
+from typing import cast
+
 import numpy as np
 
 from jaxscan.calibration import Calibration
 from jaxscan.calibration.diagnostics import Diagnostics
 from jaxscan.calibration.diagnostics.light_planes import light_plane_doubts
 from jaxscan.calibration.diagnostics.missing_terms import MissingTerms
+from jaxscan.calibration.diagnostics.stripe_shapes import StripeShape
+from jaxscan.calibration.diagnostics.swept_offsets import curved_alike_mm, swept_offsets
+from jaxscan.rig import MovingLight
 from jaxscan.rig.camera import camera_parameters, lens_parameters
 from jaxscan.rig.opencv_lens import LADDER
 from jaxscan.view.report import Box, Level
@@ -45,6 +51,7 @@ def model_findings(calibration: Calibration, diagnostics: Diagnostics) -> list[B
         *_board(calibration),
         *_off_grid(calibration),
         *_sheets(calibration, diagnostics, lens),
+        *_curved_sweeps(calibration, diagnostics),
         *_bent(calibration, diagnostics),
         *_changed(calibration, diagnostics),
         *_lent(calibration),
@@ -194,7 +201,7 @@ def _sheets(calibration: Calibration, diagnostics: Diagnostics, lens: list[Box])
         'sheet = "bowed" under [laser]; see whether the two halves then agree better.'
     )
     # What has to be corrected first, because it bends the stripes too.
-    first = _board(calibration) or lens
+    first = _board(calibration) or lens or _moved(calibration, diagnostics)
     boxes = [
         Box("care", f"{doubt}.", lens[0].advice if lens else of_lens)
         if doubt in curved
@@ -216,20 +223,18 @@ def _sheets(calibration: Calibration, diagnostics: Diagnostics, lens: list[Box])
 
 def _bent(calibration: Calibration, diagnostics: Diagnostics) -> list[Box]:
     """Stripes that are not straight, where the sheet is not named as the reason."""
-    boxes, curved = [], _curved(calibration)
-    usual = float(np.median([s.noise_mm for s in diagnostics.stripes] or [0.0]))
-    bent = [
-        s
-        for s in diagnostics.stripes
-        if s.laser not in curved and s.bend_mm > max(_BEND * s.bend_of_noise_mm, _BEND_NOISE * max(s.noise_mm, usual))
-    ]
+    boxes, curved = [], _curved(calibration, diagnostics)
+    whole = _wholes(calibration, diagnostics)
+    bent = [s for s in _crooked(diagnostics.stripes) if s.laser not in curved and s.laser not in whole]
     if bent:
-        names = listed([f"{s.name} ({s.bend_mm:.2f} mm from peak to valley)" for s in bent])
+        names = listed([f"{s.label} ({s.bend_mm:.2f} mm from peak to valley)" for s in bent])
+        several = any(s.position is not None for s in bent)
+        part = ", or the stripe is in part a reflection where others on the same board are straight" if several else ""
         boxes.append(
             Box(
                 "care",
-                f"The stripe is not straight on {len(bent)} of {len(diagnostics.stripes)} boards: {names}. A sheet of "
-                "light meets a flat board in a straight line, so the plates are bent there.",
+                f"{_not_straight(bent, diagnostics)}: {names}. A sheet of light meets a flat board in a straight "
+                f"line, so the plates are bent there{part}.",
                 "Glue the pattern to something stiff and hold the plate without bending it. Leave out the first of "
                 "these photographs and see whether the two halves then agree better.",
             )
@@ -238,16 +243,23 @@ def _bent(calibration: Calibration, diagnostics: Diagnostics) -> list[Box]:
     beside = [
         s
         for s in sorted(diagnostics.stripes, key=lambda s: -abs(s.offset_mm))
-        if abs(s.offset_mm)
+        # Of a swept light the cause of all has a finding of its own.
+        if not (s.position is not None and s.laser in whole)
+        and abs(s.offset_mm)
         > max(_OFFSET_NOISE * s.noise_mm, _OFFSET_OTHERS * float(np.median(size)), curved.get(s.laser, 0.0))
     ]
     if beside:
-        names = listed([f"{s.name} ({s.offset_mm:+.2f} mm)" for s in beside])
+        names = listed([f"{s.label} ({s.offset_mm:+.2f} mm)" for s in beside])
+        swept = all(s.position is not None for s in beside)
         boxes.append(
             Box(
                 "care",
-                f"The whole stripe lies beside the light plane on {names}.",
-                "The board moved between corners and stripe, is bent as a whole, or its squares are of another size.",
+                f"The whole stripe lies beside the {'sheet of light' if swept else 'light plane'} on {names}.",
+                "Look at the photograph: the light did not stand where its step says, or the stripe is a reflection "
+                "or lies on something else than the board. If all stripes of a board are named, the board moved."
+                if swept
+                else "The board moved between corners and stripe, is bent as a whole, or its squares are of another "
+                "size.",
             )
         )
     return boxes
@@ -276,36 +288,152 @@ def _drift(calibration: Calibration) -> list[Box]:
     return [Box("care", f"{what}.", fix)]
 
 
-def _curved(calibration: Calibration) -> dict[str, float]:
+def _curved(calibration: Calibration, diagnostics: Diagnostics) -> dict[str, float]:
     """How far the stripes of each laser may lie beside it whose sheet is curved and was taken as flat."""
-    return {curve.laser: abs(curve.curve_mm) for curve in calibration.sheet_curves}
+    return {curve.laser: abs(curve.curve_mm) for curve in calibration.sheet_curves} | {
+        laser: curved_alike_mm(own)
+        for laser, own in _by_laser(diagnostics).items()
+        if own[0].position is not None and _mostly_bent(own) and curved_alike_mm(own) and not _board(calibration)
+    }
 
 
-def _moved(calibration: Calibration, diagnostics: Diagnostics) -> list[Box]:
-    """Boards that were not where their corners say when the stripe was photographed."""
-    boxes, curved = [], _curved(calibration)
-    for laser in dict.fromkeys(stripe.laser for stripe in diagnostics.stripes):
-        own = sorted((s for s in diagnostics.stripes if s.laser == laser), key=lambda s: -s.beside_mm)
-        beside, crooked = (
-            float(np.sqrt(np.mean(np.square(values))))
-            for values in ([s.beside_mm for s in own], [s.crooked_mm for s in own])
-        )
-        if len(own) < _FEWEST_WHOLES or beside < max(_WHOLES * crooked, curved.get(laser, 0.0)):
+def _by_laser(diagnostics: Diagnostics) -> dict[str, list[StripeShape]]:
+    """The stripes of each laser."""
+    lasers = dict.fromkeys(stripe.laser for stripe in diagnostics.stripes)
+    return {laser: [stripe for stripe in diagnostics.stripes if stripe.laser == laser] for laser in lasers}
+
+
+def _crooked(stripes: Sequence[StripeShape]) -> list[StripeShape]:
+    """Those that are not straight."""
+    usual = float(np.median([s.noise_mm for s in stripes] or [0.0]))
+    return [s for s in stripes if s.bend_mm > max(_BEND * s.bend_of_noise_mm, _BEND_NOISE * max(s.noise_mm, usual))]
+
+
+def _mostly_bent(own: Sequence[StripeShape]) -> bool:
+    return 2 * len(_crooked(own)) >= len(own)
+
+
+def _not_straight(some: Sequence[StripeShape], diagnostics: Diagnostics) -> str:
+    """How many boards that is, or how many stripes where a board has several."""
+    boards = len({s.name for s in diagnostics.stripes})
+    if all(s.position is None for s in diagnostics.stripes):
+        return f"The stripe is not straight on {len({s.name for s in some})} of {boards} boards"
+    are = "is" if len(some) == 1 else "are"
+    return f"{len(some)} of {len(diagnostics.stripes)} stripes on {boards} boards {are} not straight"
+
+
+def _wholes(calibration: Calibration, diagnostics: Diagnostics) -> dict[str, list[StripeShape]]:
+    """The stripes of each laser whose stripes are straight and lie beside it as wholes, the farthest first.
+
+    By medians: one stripe that is off says nothing of the others. Of a swept light some may be off by a common cause.
+    """
+    curved, found = _curved(calibration, diagnostics), {}
+    for laser, own in _by_laser(diagnostics).items():
+        least = max(_WHOLES * _usual(own)[1], curved.get(laser, 0.0))
+        far = _usual(own)[0] >= least
+        if not far and own[0].position is not None and _rms([s.beside_mm for s in own]) >= least:
+            far = swept_offsets(own).by is not None
+        if len(own) >= _FEWEST_WHOLES and far and not _mostly_bent(own):
+            found[laser] = sorted(own, key=lambda s: -s.beside_mm)
+    return found
+
+
+def _rms(values: Sequence[float]) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def _usual(own: Sequence[StripeShape]) -> tuple[float, float]:
+    """How far stripes lie beside the sheet as wholes, and how far they are crooked, in the median, mm."""
+    return float(np.median([s.beside_mm for s in own])), float(np.median([s.crooked_mm for s in own]))
+
+
+def _curved_sweeps(calibration: Calibration, diagnostics: Diagnostics) -> list[Box]:
+    """Stripes of a swept light that are curved alike on all boards."""
+    boxes, known = [], {curve.laser for curve in calibration.sheet_curves}
+    for laser, sag in _curved(calibration, diagnostics).items():
+        if laser in known:
             continue
-        which = f' of laser "{laser}"' if laser else ""
-        names = listed([f"{s.name} ({s.beside_mm:.2g} mm)" for s in own])
+        own = _by_laser(diagnostics)[laser]
+        length = float(np.median([s.length_mm for s in own]))
         boxes.append(
             Box(
                 "care",
-                f"The stripes{which} are straight and fit no plane: each as a whole lies beside the light plane, by "
-                f"{beside:.2g} mm RMS, {beside / crooked:.1f} times as far as they are crooked. The farthest are "
-                f"{names}. The boards were not where their corners say when the stripe was photographed.",
-                "Where corners and stripe have photographs of their own, the board moved between them: put it on a "
-                "stand and switch the laser without touching anything, or photograph both at once. Otherwise see "
-                "whether the plates are flat and whether the sheet of light is.",
+                f"The stripes{_which(laser)} are curved alike on all boards, by {sag:.2g} mm over {length:.0f} mm in "
+                "the median: the sheet of light may be curved, and was taken as flat.",
+                "There is no curved sheet that is swept: turn the line lens until it is square to its beam, take "
+                "another laser, or use the middle of its fan only. If all boards are one plate, or bent alike, it "
+                "looks the same: lay a straight edge across it.",
             )
         )
     return boxes
+
+
+def _moved(calibration: Calibration, diagnostics: Diagnostics) -> list[Box]:
+    """Stripes that are straight and lie beside the sheet as wholes: boards that moved, or a drive that is uneven."""
+    return [
+        _off_the_plane(laser, own) if own[0].position is None else _off_the_sweep(calibration, laser, own)
+        for laser, own in _wholes(calibration, diagnostics).items()
+    ]
+
+
+def _which(laser: str) -> str:
+    return f' of laser "{laser}"' if laser else ""
+
+
+def _off_the_plane(laser: str, own: Sequence[StripeShape]) -> Box:
+    """Boards that were not where their corners say when the stripe was photographed."""
+    beside, crooked = _usual(own)
+    names = listed([f"{s.name} ({s.beside_mm:.2g} mm)" for s in own])
+    return Box(
+        "care",
+        f"The stripes{_which(laser)} are straight and fit no plane: each as a whole lies beside the light plane, by "
+        f"{beside:.2g} mm in the median, {beside / crooked:.1f} times as far as they are crooked. The farthest are "
+        f"{names}. The boards were not where their corners say when the stripe was photographed.",
+        "Where corners and stripe have photographs of their own, the board moved between them: put it on a "
+        "stand and switch the laser without touching anything, or photograph both at once. Otherwise see "
+        "whether the plates are flat and whether the sheet of light is.",
+    )
+
+
+def _off_the_sweep(calibration: Calibration, laser: str, own: Sequence[StripeShape]) -> Box:
+    """A swept light that was not where its steps say, or boards that were not where their corners say."""
+    found = swept_offsets(own)
+    beside, crooked = _rms([s.beside_mm for s in own]), _rms([s.crooked_mm for s in own])
+    light = next(light for light in calibration.rig.lights if light.name == laser)
+    axis, (least, low), (most, high) = calibration.observations.light_axes[laser], found.least, found.most
+    amount, unit = cast(MovingLight, light).amount(high - low)
+    apart = f"{high - low:.2g} steps, or {amount:.2g} {unit} of the light, apart"
+    what = (
+        f"The stripes{_which(laser)} are straight, and each as a whole lies beside the sheet of light, by "
+        f"{beside:.2g} mm RMS, {beside / crooked:.1f} times as far as they are crooked"
+    )
+    if found.by == "steps":
+        return Box(
+            "care",
+            f'{what}. At one step it is alike on all boards ({100 * found.share:.0f} % of the squares): axis "{axis}" '
+            f"does not turn the light evenly. It stood {low:+.2g} steps off at step {least} and {high:+.2g} at step "
+            f"{most}, {apart}.",
+            "A motor with microsteps: photograph and scan at full steps only. A mirror that a voltage drives is not "
+            "quite proportional to it: where its true angles are known, give these as steps, in thousandths of a "
+            "degree. There is no table of a drive's true angles yet. What an even turn can follow is not counted "
+            "here: the drive may be further off.",
+        )
+    if found.by == "boards":
+        return Box(
+            "care",
+            f"{what}. On one board it is alike at all steps ({100 * found.share:.0f} % of the squares), and differs "
+            f"from board to board: {low:+.2g} steps on {least} and {high:+.2g} on {most}, {apart}. The drive has play "
+            "or did not start from the same place, or the boards moved after their corners were photographed.",
+            f'Move axis "{axis}" to every position in the same direction and from the same stop, in the scans too, and '
+            "put the board on a stand that nothing touches from its first photograph to its last.",
+        )
+    names = listed([f"{s.label} ({s.beside_mm:.2g} mm)" for s in own])
+    return Box(
+        "care",
+        f"{what}, neither alike at one step nor on one board. The farthest are {names}.",
+        "See whether stripe_steps has the position of each photograph, whether the light stood still while it was "
+        "taken, and whether the plates are flat and the sheet of light is.",
+    )
 
 
 def _tails(calibration: Calibration, diagnostics: Diagnostics) -> list[Box]:

@@ -5,6 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from jaxscan.cli.format_summary import format_summary
+from jaxscan.cli.summary import session_summary
 from jaxscan.errors import InputError
 from jaxscan.files.session import read_session, write_session
 from jaxscan.files.shared import listed_once
@@ -51,6 +53,20 @@ def test_it_is_written_and_read_back(tmp_path, views, laser):
     assert again.views == read.views
     assert again.light_axes == read.light_axes
     assert again.sheets == ("swept",)
+
+
+def test_a_board_has_one_stripe_at_each_position(tmp_path):
+    with pytest.raises(InputError, match=r"stripe_steps = .*: 2 stripes on b1.png are at step 50"):
+        read_session(session(tmp_path, GOOD.replace("[0, 50, 90]", "[0, 50, 90, 0, 50, 50]")))
+
+
+def test_it_is_shown(tmp_path):
+    found = session_summary(session(tmp_path, GOOD))
+    sweep = {"axis": "sweep", "boards": 2, "photographs": 6, "positions": [0, 50, 90]}
+    assert found["lasers"][0]["sweep"] == sweep
+    said = format_summary(found)
+    assert "in 6 photographs, sheet swept" in said
+    assert '2 boards × 3 positions of axis "sweep": 0, 50, 90' in said
 
 
 def test_several_lasers_have_steps_of_their_own(tmp_path):

@@ -1,5 +1,6 @@
 """Scans in which the light moves and the object stands."""
 
+import re
 from dataclasses import replace
 
 import jax
@@ -17,6 +18,7 @@ from jaxscan.images.stripes.detect import detect_stripe
 from jaxscan.measurement.scanned import scanned_image
 from jaxscan.reconstruction import Scanner, reconstruct
 from jaxscan.reconstruction.point_sigma import point_sigma
+from jaxscan.reconstruction.scan_notes import REASONS, gap_notes, left_out_notes
 from jaxscan.reconstruction.sheet_band import sheet_band, swept_band
 from jaxscan.reconstruction.triangulate import Kernel
 from jaxscan.rig import Covariance, Rig
@@ -127,6 +129,37 @@ def test_what_goes_beyond_the_calibrations_sweep_is_said(swept):
         scanner = Scanner(rig)
         list(scanner.scan(scan))
         assert any("the calibration from 700 to 1600" in note for note in scanner.notes) is said
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_steps_far_from_the_calibrations_are_the_reason_that_nothing_is_found(swept):
+    content, scan, _ = swept
+    far = replace(scan, axes={"sweep": tuple(100000 + 200 * i for i in range(FRAMES))})
+    with pytest.raises(InputError, match='axis "sweep" goes from 100000 to 101000 steps, the calibration from 400 to'):
+        reconstruct(content, far)
+
+
+def test_points_outside_the_depths_are_laid_on_the_steps_first():
+    left_out = dict.fromkeys(REASONS.values(), 0) | {"outside_of_the_depths": 12}
+    for points, swept_by, said in ((100, "mirror", True), (500, "mirror", False), (100, None, False)):
+        (note,) = left_out_notes(left_out, points, (200.0, 500.0), swept_by)
+        assert note.startswith("12 points were left out")
+        assert ('see whether the steps of axis "mirror" are counted from the same place' in note) is said
+
+
+def test_reversed_steps_are_named_where_points_fall_outside_of_the_depths(swept):
+    content, scan, _ = swept
+    scanner = Scanner(content, depths_mm=(335.0, 365.0))
+    list(scanner.scan(replace(scan, axes={"sweep": scan.axes["sweep"][::-1]})))
+    assert any('steps of axis "sweep" are counted from the same place' in note for note in scanner.notes)
+
+
+def test_where_a_photograph_is_missing_its_axis_is_named(swept, tmp_path):
+    _, scan, _ = swept
+    frames = tuple(tmp_path / f"{i:02d}.png" for i in (*range(6), *range(7, 11)))
+    for axis, under in (("sweep", r"\[scan.axes\] sweep"), ("stage", "steps")):
+        (note,) = gap_notes(replace(scan, frames=frames, axes={axis: tuple(range(10))}))
+        assert re.search(f"07.png follows 05.png.* for each photograph under {under}$", note)
 
 
 def test_the_light_position_must_be_given(swept):

@@ -5,13 +5,15 @@ least squares d(t) = a + b t, t from −1 to 1 along the stripe. What its runnin
 valley, is the bend of the plate, or a lens that is not followed.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
 
+from jaxscan.calibration.observations import StripePoints
 from jaxscan.calibration.on_board import meet_board, pose_of
 from jaxscan.calibration.result import Calibration
+from jaxscan.rig import Light, MovingLight
 from jaxscan.rig.light import distance, stood
 
 _FEWEST_POINTS = 20
@@ -43,6 +45,10 @@ class StripeShape:
         noise_mm: RMS about the running mean.
         tied_mm: RMS of what neighbours share: of the running mean, less what noise alone gives it.
         depth_mm: median distance of the points from the camera, along its axis.
+        sag_mm: of the parabola through the distances: its middle less its ends.
+        length_mm: of the stripe on its board.
+        position: motor steps of the axis that moves the light; None where none does.
+        mm_per_step: by how much the distance of the points grows with each step of that axis, on average.
     """
 
     name: str
@@ -59,6 +65,20 @@ class StripeShape:
     noise_mm: float
     tied_mm: float
     depth_mm: float
+    sag_mm: float
+    length_mm: float = 0.0
+    position: float | None = None
+    mm_per_step: float = 0.0
+
+    @property
+    def label(self) -> str:
+        """The photograph; of a light that moves, which has several stripes in each, with the step."""
+        return self.name if self.position is None else f"{self.name} at step {self.position:g}"
+
+    @property
+    def off_steps(self) -> float:
+        """How many motor steps beyond its position the light would meet the stripe, of a light that moves."""
+        return -self.offset_mm / self.mm_per_step
 
     @property
     def beside_mm(self) -> float:
@@ -81,10 +101,20 @@ def stripe_shapes(calibration: Calibration) -> tuple[StripeShape, ...]:
                 continue
             pixels = stripe.pixels[kept]
             X = meet_board(calibration.rig.camera, pose_of(poses, i), pixels, bent[i] if bent else None)[0]
-            light = stood(calibration.rig.lights[stripe.laser], stripe.position)
+            of = calibration.rig.lights[stripe.laser]
+            light = stood(of, stripe.position)
             along = pixels[:, 0 if stripe.columns else 1]
-            shapes.append(shape(view.name, light.name, along, distance(light, X), float(np.median(X[:, 2]))))
+            found = shape(view.name, light.name, along, distance(light, X), float(np.median(X[:, 2])))
+            shapes.append(replace(found, length_mm=float(np.linalg.norm(np.ptp(X, axis=0))), **_of_axis(of, stripe, X)))
     return tuple(sorted(shapes, key=lambda s: -s.bend_mm))
+
+
+def _of_axis(light: Light, stripe: StripePoints, X: Float[np.ndarray, "points 3"]) -> dict[str, float]:
+    """Where the light stood, and how far a motor step takes it at points of its stripe (camera frame, mm)."""
+    if not isinstance(light, MovingLight):
+        return {}
+    before, behind = (distance(light.at(stripe.position + by), X) for by in (-0.5, 0.5))
+    return {"position": stripe.position, "mm_per_step": float((behind - before).mean())}
 
 
 def shape(
@@ -120,4 +150,5 @@ def shape(
         noise_mm=noise,
         tied_mm=float(np.sqrt(max(((A @ line + whole) ** 2).mean() - _LEFT_OF_NOISE * noise**2 / window, 0.0))),
         depth_mm=depth_mm,
+        sag_mm=-float(np.polyfit(t, off, 2)[0]),
     )
