@@ -137,20 +137,19 @@ class Scanner:
             InputError: the scan does not fit the rig, a photograph cannot be read or is unlike the others, the scan has
                 no frames, or there is no stripe in any of them.
         """
-        check_scan(self._content.rig, scan)
+        rig = self._content.rig
+        check_scan(rig, scan)
         check_poses(self._content, scan)
         with error_context(scan.path):
-            laser = self._laser(scan.laser)
-        check_lines(self._content.rig, scan.laser, f"{scan.path}: [laser] columns = {str(scan.laser.columns).lower()}")
+            laser, light = self._laser(scan.laser), rig.light(scan.laser.name)
+        check_lines(rig, scan.laser, f"{scan.path}: [laser] columns = {str(scan.laser.columns).lower()}")
         frames = seen = points = 0
         self.notes, self.left_out = [], {}
-        notes = [*way_notes(self._content.rig, scan), *doubts(scan.checks), *gap_notes(scan), *order_notes(scan)]
+        notes = [*way_notes(rig, scan), *doubts(scan.checks), *gap_notes(scan), *order_notes(scan)]
         beyond = sweep_notes(self._content, scan)
-        notes += beyond
-        notes += [*background_notes(self._content.rig, scan), *pose_notes(self._content, scan)]
-        verdicts, watch, order = np.zeros(len(Verdict), int), LightWatch(), OrderWatch(self._content.rig.motion)
-        rig = self._content.rig
-        sight = SightWatch(rig.motion, [light for light in rig.lights if light is not rig.light(scan.laser.name)])
+        notes += [*beyond, *background_notes(rig, scan), *pose_notes(self._content, scan)]
+        verdicts, watch, order = np.zeros(len(Verdict), int), LightWatch(), OrderWatch(rig.motion)
+        sight = SightWatch(rig.motion, [other for other in rig.lights if other is not light])
         # Whoever stops early stops the reader too.
         with ExitStack() as to_close:
             for image, counts in self._images(laser, scan, advance, watch, notes, to_close):
@@ -166,7 +165,6 @@ class Scanner:
         if not frames:
             raise InputError(f"{scan.path}: the scan has no frames")
         left_out = {reason: int(verdicts[verdict]) for verdict, reason in REASONS.items()}
-        light = rig.light(scan.laser.name)
         swept_by = light.axis if isinstance(light, MovingLight) and light.axis in scan.axis_names else None
         last = left_out_notes(left_out, points, self._depths_mm, swept_by)
         last += watch.notes(scan.exposures_s is not None, bool(scan.backgrounds), scan.laser.color == "grey")

@@ -290,11 +290,15 @@ def _drift(calibration: Calibration) -> list[Box]:
 
 def _curved(calibration: Calibration, diagnostics: Diagnostics) -> dict[str, float]:
     """How far the stripes of each laser may lie beside it whose sheet is curved and was taken as flat."""
-    return {curve.laser: abs(curve.curve_mm) for curve in calibration.sheet_curves} | {
-        laser: curved_alike_mm(own)
-        for laser, own in _by_laser(diagnostics).items()
-        if own[0].position is not None and _mostly_bent(own) and curved_alike_mm(own) and not _board(calibration)
-    }
+    return {curve.laser: abs(curve.curve_mm) for curve in calibration.sheet_curves} | _sags(calibration, diagnostics)
+
+
+def _sags(calibration: Calibration, diagnostics: Diagnostics) -> dict[str, float]:
+    """How far the stripes of each swept laser sag in the median that are curved alike on all boards, mm."""
+    if _board(calibration):
+        return {}
+    swept = {laser: own for laser, own in _by_laser(diagnostics).items() if own[0].position is not None}
+    return {laser: sag for laser, own in swept.items() if _mostly_bent(own) and (sag := curved_alike_mm(own))}
 
 
 def _by_laser(diagnostics: Diagnostics) -> dict[str, list[StripeShape]]:
@@ -349,10 +353,8 @@ def _usual(own: Sequence[StripeShape]) -> tuple[float, float]:
 
 def _curved_sweeps(calibration: Calibration, diagnostics: Diagnostics) -> list[Box]:
     """Stripes of a swept light that are curved alike on all boards."""
-    boxes, known = [], {curve.laser for curve in calibration.sheet_curves}
-    for laser, sag in _curved(calibration, diagnostics).items():
-        if laser in known:
-            continue
+    boxes = []
+    for laser, sag in _sags(calibration, diagnostics).items():
         own = _by_laser(diagnostics)[laser]
         length = float(np.median([s.length_mm for s in own]))
         boxes.append(

@@ -17,7 +17,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxscan.images.stripes.by_scatter import ALONE, moves, surfaces, third_differences
+from jaxscan.images.stripes.by_scatter import ALONE, moves, of_one_surface, surfaces, third_differences
 from jaxscan.images.stripes.cross_section import size_of
 from jaxscan.images.stripes.look import Looker, places_of
 from jaxscan.images.stripes.ranks import ranked
@@ -99,7 +99,7 @@ def scatters(position: Float[np.ndarray, "frames lines"], steps: Int[np.ndarray,
     for apart in ALONE:
         if position.shape[1] <= 3 * apart:
             break
-        values, used = third_differences(position, one, steps, apart)
+        values, used = third_differences(position, one, apart), of_one_surface(steps, apart)
         scatter = ranked(np.where(used, values, 0), used, _WITHIN)
         count = used.sum(axis=1)
         told = (count >= _FEWEST) & moves(position, used, apart, _MOVES_PX) & (scatter > 0)

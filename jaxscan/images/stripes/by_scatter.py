@@ -14,7 +14,7 @@ lines that the stripe passes at the same place; it shows over distances along wh
 from typing import Final
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Num
 
 from jaxscan.images.stripes.likelihood import FWHM
 from jaxscan.images.stripes.ranks import ranked
@@ -98,17 +98,16 @@ def sigma_by_scatter(
     apart = [k for k in (ALONE if moving else IN_BLOCKS) if least_apart <= k < sigma.shape[1] / 3]
     if not apart:
         return otherwise
+    of_one = [of_one_surface(steps, k) for k in apart]
+    used = np.concatenate(_of_moving(of_one, position, apart) if moving else of_one, axis=1)
+    # How many of the middle two lines are burnt out, and the mean of their logarithms.
+    kind, middle = (np.concatenate([_in_the_middle(x, k) for k in apart], axis=1) for x in (burnt.astype(int), ln / 2))
 
-    def differences(shape: Lines) -> _Part:
-        parts = [(*third_differences(position, shape, steps, k), _burnt_in_the_middle(burnt, k)) for k in apart]
-        if moving:
-            parts = _of_moving(parts, position, apart)
-        values, used, kind = (np.concatenate(each, axis=1) for each in zip(*parts, strict=True))
-        return values, used, kind
+    def differences(shape: Lines) -> Float[np.ndarray, "frames some"]:
+        return np.concatenate([third_differences(position, shape, k) for k in apart], axis=1)
 
-    middle = np.concatenate([_in_the_middle(ln, k) for k in apart], axis=1)
-    shape = np.exp(_power(*differences(np.ones_like(ln)), middle)[:, None] * ln)
-    values, used, kind = differences(shape)
+    shape = np.exp(_power(differences(np.ones_like(ln)), used, kind, middle)[:, None] * ln)
+    values = differences(shape)
     fewest = _FEWEST_MOVING if moving else _FEWEST
     by = np.where(burnt, *(_scatter_of_kind(values, used, kind == one, fewest)[:, None] for one in (_BURNT, 0)))
     found = np.where(known, by * shape, np.float32(np.nan))
@@ -121,19 +120,19 @@ def sigma_by_scatter(
     return np.where(told, found, otherwise).astype(np.float32)
 
 
-_Part = tuple[Float[np.ndarray, "frames some"], Bool[np.ndarray, "frames some"], Int[np.ndarray, "frames some"]]
+_Used = list[Bool[np.ndarray, "frames some"]]
 
 
-def _of_moving(parts: list[_Part], position: Lines, apart: list[int]) -> list[_Part]:
-    """The differences over the shortest distances along which the stripe moves; over the shortest of all where few are.
+def _of_moving(used: _Used, position: Lines, apart: list[int]) -> _Used:
+    """Those over the shortest distances along which the stripe moves; over the shortest of all where few are.
 
     Over longer ones than it needs the surface's own bends count.
     """
-    over = np.array([moves(position, used, k, _MOVES_PX) for k, (_, used, _) in zip(apart, parts, strict=True)])
+    over = np.array([moves(position, some, k, _MOVES_PX) for k, some in zip(apart, used, strict=True)])
     over &= np.cumsum(over, axis=0) <= _SHORTEST
-    count = sum(by * used.sum(axis=1) for by, (_, used, _) in zip(over, parts, strict=True))
+    count = sum(by * some.sum(axis=1) for by, some in zip(over, used, strict=True))
     over = np.where(count < _FEWEST_MOVING, np.arange(len(apart))[:, None] < _SHORTEST, over)
-    return [(values, used & by[:, None], kind) for (values, used, kind), by in zip(parts, over, strict=True)]
+    return [some & by[:, None] for some, by in zip(used, over, strict=True)]
 
 
 def agreed(sigma: Lines, position: Lines, grained: Bool[np.ndarray, "frames"]) -> Lines:
@@ -166,8 +165,8 @@ def _over_said(
     steps, apart = surfaces(position, known), tuple(k for k in apart if 3 * k < position.shape[1])
     if not apart:
         return np.zeros(len(position))
-    parts = [third_differences(position, sigma, steps, k) for k in apart]
-    values, used = (np.concatenate(each, axis=1) for each in zip(*parts, strict=True))
+    values = np.concatenate([third_differences(position, sigma, k) for k in apart], axis=1)
+    used = np.concatenate([of_one_surface(steps, k) for k in apart], axis=1)
     with np.errstate(invalid="ignore"):
         near = used & (values < _FAR * _scatter(values, used)[:, None])
     return np.sqrt((np.where(near, values, 0) ** 2).sum(axis=1) / np.maximum(near.sum(axis=1), 1))
@@ -191,21 +190,24 @@ def surfaces(position: Lines, known: Bool[np.ndarray, "frames lines"]) -> Int[np
     return np.pad(np.cumsum(step, axis=1), ((0, 0), (1, 0)))
 
 
-def third_differences(
-    position: Lines, sigma: Lines, steps: Int[np.ndarray, "frames lines"], apart: int
-) -> tuple[Float[np.ndarray, "frames some"], Bool[np.ndarray, "frames some"]]:
-    """Third differences over their σ, all positive, and which are of one surface.
+def of_one_surface(steps: Int[np.ndarray, "frames lines"], apart: int) -> Bool[np.ndarray, "frames some"]:
+    """Which third differences of lines so far apart are of one surface, as `surfaces` counts them."""
+    first, _, _, last = _taken(steps.shape[1], apart)
+    return steps[:, last] == steps[:, first]
+
+
+def third_differences(position: Lines, sigma: Lines, apart: int) -> Float[np.ndarray, "frames some"]:
+    """Third differences over their σ, all positive.
 
     Args:
         position: of each line, px.
         sigma: of each line, px.
-        steps: on which surface each is (`surfaces`).
         apart: how far the lines are apart of which they are taken.
     """
     at = _taken(position.shape[1], apart)
     bends = sum(by * position[:, here] for by, here in zip(_THIRD, at, strict=True))
     variance = sum(by * by * sigma[:, here] ** 2 for by, here in zip(_THIRD, at, strict=True))
-    return np.abs(bends) / np.sqrt(variance), steps[:, at[-1]] == steps[:, at[0]]
+    return np.abs(bends) / np.sqrt(variance)
 
 
 def moves(
@@ -230,10 +232,10 @@ def _taken(size: int, apart: int) -> list[slice]:
     return [slice(k * apart, size - reach + k * apart) for k in range(len(_THIRD))]
 
 
-def _in_the_middle(each: Lines, apart: int) -> Float[np.ndarray, "frames some"]:
-    """The mean of the middle two lines of each third difference."""
+def _in_the_middle(each: Num[np.ndarray, "frames lines"], apart: int) -> Num[np.ndarray, "frames some"]:
+    """The sum over the middle two lines of each third difference."""
     _, second, third, _ = _taken(each.shape[1], apart)
-    return (each[:, second] + each[:, third]) / 2
+    return each[:, second] + each[:, third]
 
 
 def _power(
@@ -266,12 +268,6 @@ def _power(
     of_lines, of_usual = 1 / (_SCATTER_OF_LN**2 * _ALIKE), 1 / _OFF_BY_POWER**2
     power = (of_lines * product + of_usual * _USUAL_POWER) / (of_lines * square + of_usual)
     return power.clip(0, _MOST_POWER)
-
-
-def _burnt_in_the_middle(burnt: Bool[np.ndarray, "frames lines"], apart: int) -> Int[np.ndarray, "frames some"]:
-    """How many of the middle two lines of each third difference are burnt out."""
-    _, second, third, _ = _taken(burnt.shape[1], apart)
-    return burnt[:, second].astype(int) + burnt[:, third]
 
 
 def _scatter_of_kind(
