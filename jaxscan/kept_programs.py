@@ -155,7 +155,11 @@ class Compiled:
 
         # By which JAX's own files, and what it says of a function, are called.
         program.__name__ = name
-        return _Ready(jax.jit(program), jax.tree.structure(back))
+        # What a kept program gives is committed to its device, what NumPy gives is not. Without a place that is named JAX
+        # would compile the same program again for each combination of the two.
+        [device] = jax.devices()
+        one_place = jax.sharding.SingleDeviceSharding(device)
+        return _Ready(jax.jit(program, in_shardings=one_place), jax.tree.structure(back))
 
     def _lowered(self, form: _Form) -> tuple[bytes, Any] | None:
         """The program, and the tree that it gives, with numbers for leaves; None where it cannot be written."""

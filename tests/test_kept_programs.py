@@ -103,6 +103,18 @@ def test_the_source_of_jaxscan_belongs_to_it(tmp_path: Path) -> None:
     assert said(tmp_path, elsewhere + RAISED)[0] == "traced"
 
 
+def test_what_another_program_gave_compiles_nothing_more(tmp_path: Path) -> None:
+    """Its arrays are committed to a device, those of NumPy are not: JAX takes these for two kinds of arguments."""
+    body = "compiled_for = []\n"
+    body += "say = lambda event, _, **more: 'backend_compile' in event and compiled_for.append(more.get('fun_name'))\n"
+    body += "jax.monitoring.register_event_duration_secs_listener(say)\n"
+    body += "first = raised(Pair(x, 'p'), by=x)[0].a\n"
+    body += "for a, by in ((first, x), (x, first), (first, first)): raised(Pair(a, 'p'), by=by)\n"
+    body += "print(sum('raised' in str(name) for name in compiled_for))"
+    for _ in range(2):
+        assert said(tmp_path, body)[-1] == "1"
+
+
 def test_a_damaged_file_is_made_again(tmp_path: Path) -> None:
     said(tmp_path, RAISED)
     (path,) = (tmp_path / "kept").glob("*.program")
