@@ -48,7 +48,8 @@ def faint_runs(
     strength: Float[np.ndarray, "lines"],
     width: Float[np.ndarray, "lines"],
     rows: int,
-    bright: Bool[np.ndarray, "lines"] | None = None,
+    known: Bool[np.ndarray, "lines"],
+    least_alone: float,
 ) -> Faint:
     """The runs that the points of a frame make.
 
@@ -58,7 +59,8 @@ def faint_runs(
         strength: how bright.
         width: its full width at half height, px.
         rows: among how many a peak of noise may lie.
-        bright: which of them are a stripe's beyond doubt; others alone make no run then. None where none are.
+        known: which of them are a stripe's beyond doubt.
+        least_alone: how bright the points of a run are in the mean that has no such point.
     """
     line = np.flatnonzero(seen)
     run = linked(Points(line, at[line], strength[line], width[line], width[line]), _COMPANY_PX, _STEEPEST)
@@ -70,23 +72,23 @@ def faint_runs(
     ln_chance = np.log(min(chance, 0.99))
     long = (length >= max(_FEWEST, _LN_CHANCE / ln_chance)) & (length > _DENSE * (last - first))
     company = length > 1 + _LN_TOO_WEAK / ln_chance
-    if bright is not None:
-        of_it = np.bincount(run, bright[line])
-        long &= (of_it > 0) & (length - of_it >= _FEWEST)
+    of_known = np.bincount(run, known[line])
+    goes_on = (of_known > 0) & (length - of_known >= _FEWEST)
+    long &= goes_on | (np.bincount(run, strength[line]) >= least_alone * length)
     runs, weak = np.zeros_like(seen), np.zeros_like(seen)
     runs[line] = long[run]
     weak[line] = (company & ~long)[run]
-    known = np.flatnonzero(runs)
+    taken = np.flatnonzero(runs)
     between, rows_ = np.zeros_like(seen), np.full(len(seen), np.nan)
-    if known.size > 1:
-        apart, step = np.diff(known), np.abs(np.diff(at[known]))
+    if taken.size > 1:
+        apart, step = np.diff(taken), np.abs(np.diff(at[taken]))
         near = (apart <= _BETWEEN) & (step <= _COMPANY_PX + _STEEPEST * apart)
         lines = np.arange(len(seen))
-        before = np.searchsorted(known, lines, "right") - 1
+        before = np.searchsorted(taken, lines, "right") - 1
         inner = (before >= 0) & (before < len(near))
         between[inner] = near[before[inner]]
         between &= ~runs
-        rows_[between] = np.interp(lines[between], known, at[known])
+        rows_[between] = np.interp(lines[between], taken, at[taken])
     return Faint(runs, weak, between, rows_)
 
 

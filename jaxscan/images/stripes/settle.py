@@ -30,8 +30,9 @@ _RISES: Final = 0.7
 _WHITE, _IN_COLOUR, _FLANK_PX = 0.2, 0.6, 8
 # What is found lies near what it was looked for by: within so much, and half of its own width.
 _NEAR_PX: Final = 3.0
-# In weak light a stripe's strength is below this multiple of the least strength; faint points are above this multiple
-# of the noise, where most of the greatest peaks of noise are too.
+# In weak light a stripe's strength is below this multiple of the least strength, and what stands alone is at most so many
+# times fainter than the stripe: edges in the room's light have runs of faint points too. Faint points are above the
+# second multiple of the noise, where most of the greatest peaks of noise are.
 _WEAK, _FAINT = 4.0, 2.0
 
 # Frame, line and row of each place.
@@ -285,12 +286,14 @@ def _add_faint(frames: MeasuredFrames, verdict: Int8[np.ndarray, "frames lines"]
     places, rows = [np.empty((2, 0), np.int32)], [np.empty(0, np.float32)]
     for n in range(len(verdict)):
         found = verdict[n] == Verdict.STRIPE
-        bright = found.any() and np.median(measured.strength[n][found]) > _WEAK * frames.least[n]
+        usual = float(np.median(measured.strength[n][found])) if found.any() else 0.0
+        bright = usual > _WEAK * frames.least[n]
         faint = here[n] & (measured.strength[n] > (LEAST_SIGNAL if bright else _FAINT) * frames.ground[n])
         if faint.sum() < _DOUBTFUL:
             continue
         one = measured.position[n], measured.strength[n], measured.width[n]
-        runs = faint_runs(faint | found, *one, frames.length, found if bright else None)
+        least_alone = np.inf if bright else usual / _WEAK
+        runs = faint_runs(faint | found, *one, frames.length, found, least_alone)
         verdict[n][runs.runs] = Verdict.STRIPE
         verdict[n][runs.weak & ~found] = Verdict.WEAK
         # Gaps of a bright stripe are what they are.
