@@ -11,9 +11,10 @@ from jaxscan.calibration.diagnostics.halves import Agreement
 from jaxscan.calibration.diagnostics.suspects import LEAST_PX, REJECTED
 from jaxscan.calibration.hand import Hand
 from jaxscan.reconstruction.working_volume import WorkingVolume
-from jaxscan.view.model_findings import listed, model_findings
+from jaxscan.view.model_findings import model_findings
 from jaxscan.view.report import Box
 from jaxscan.view.stage_findings import mixed_names, mixed_up, off_their_places
+from jaxscan.view.stripe_findings import listed
 
 # A point, or a focal length, known no better than this share of itself is a reason to stop.
 _RELATIVE = 0.01
