@@ -13,7 +13,8 @@ from jaxscan.calibration.observations import BoardSequence, HandSettings, Observ
 from jaxscan.deadline import Workers, result_of
 from jaxscan.detectors import DEFAULT, Detector, check_detector
 from jaxscan.errors import InputError, error_context
-from jaxscan.files.session import Session, StageImages, TurntableImages
+from jaxscan.files.session import Session
+from jaxscan.files.session_axes import StageImages, TurntableImages
 from jaxscan.files.session_sweeps import Sweep
 from jaxscan.files.settings import relative_name
 from jaxscan.files.text_order import text_order_note

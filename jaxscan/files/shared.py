@@ -10,7 +10,8 @@ from typing import Final, TypeVar
 
 from jaxscan.errors import InputError
 from jaxscan.files.listing import name_some
-from jaxscan.files.session import Session, StageImages, TurntableImages, Views
+from jaxscan.files.session import Session, Views
+from jaxscan.files.session_axes import StageImages, TurntableImages
 
 _BOARD: Final = "a photograph of the board"
 _Sequence = TypeVar("_Sequence", bound=StageImages)

@@ -28,7 +28,8 @@ from jaxscan.errors import InputError
 from jaxscan.files.axes import STAGE
 from jaxscan.files.rig_file import RigFile, write_rig
 from jaxscan.files.scan import SCAN_FILE, Scan, write_scan
-from jaxscan.files.session import SESSION_FILE, Session, StageImages, TurntableImages, Views, write_session
+from jaxscan.files.session import SESSION_FILE, Session, Views, write_session
+from jaxscan.files.session_axes import StageImages, TurntableImages
 from jaxscan.geometry import Pose
 from jaxscan.images import StripeSettings
 from jaxscan.npy import read_npz
