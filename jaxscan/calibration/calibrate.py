@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from jaxscan.calibration.assemble import assemble
 from jaxscan.calibration.blocks import sequence_blocks, view_blocks
 from jaxscan.calibration.bundle import Factor
 from jaxscan.calibration.diagnostics.sheet_curves import unclear_bows
@@ -39,7 +40,7 @@ from jaxscan.calibration.refusals import (
     with_remarks,
 )
 from jaxscan.calibration.residuals import Blocks, Noise, far_away
-from jaxscan.calibration.result import Calibration, assemble
+from jaxscan.calibration.result import Calibration
 from jaxscan.calibration.rounds import refine
 from jaxscan.calibration.stage_kinds import begun, first_approach, shape_parameters, with_kinds
 from jaxscan.errors import InputError

@@ -9,8 +9,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from jaxscan.calibration.diagnostics.sheet_curves import SheetCurve
 from jaxscan.calibration.diagnostics.stripe_shapes import StripeShape
+from jaxscan.calibration.sheet_curve import SheetCurve
 
 # 1.5 mm in a metre. Good rigs have 0.05, one with plates bent by 0.3 mm at 250 mm has 0.7, a line 60 px thick 3 to 5.
 _DOUBTFUL = 0.0015
