@@ -36,7 +36,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxscan.images.stripes.batch import FRAMES_AT_ONCE
-from jaxscan.images.stripes.likelihood import FWHM
+from jaxscan.images.stripes.bell import FWHM
 from jaxscan.images.stripes.stripe import Stripe
 from jaxscan.kept_programs import compiled
 from jaxscan.precision import as_numpy
