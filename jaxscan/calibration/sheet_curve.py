@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+from jaxscan.phrases import of_laser
+
 
 @dataclass(frozen=True)
 class SheetCurve:
@@ -25,8 +27,8 @@ class SheetCurve:
     @property
     def in_words(self) -> str:
         """The finding, a sentence without its full stop."""
-        which = f' of laser "{self.laser}"' if self.laser else ""
         return (
-            f"The sheet of light{which} is curved by {abs(self.curve_mm):.2g} ± {self.sigma_mm:.1g} mm over "
-            f"{self.width_mm:g} mm, and was taken as flat: points will be off by up to as much. --sheet bowed fixes it"
+            f"The sheet of light{of_laser(self.laser)} is curved by {abs(self.curve_mm):.2g} ± {self.sigma_mm:.1g} mm "
+            f"over {self.width_mm:g} mm, and was taken as flat: points will be off by up to as much. --sheet bowed "
+            "fixes it"
         )

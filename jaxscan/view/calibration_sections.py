@@ -8,6 +8,7 @@ from jaxscan.calibration.diagnostics import Diagnostics, Ladder
 from jaxscan.calibration.on_board import stripe_points_in_space
 from jaxscan.files.rig_checks import image_rays
 from jaxscan.images.light import Light
+from jaxscan.phrases import laser_called, of_laser
 from jaxscan.reconstruction.working_volume import WorkingVolume, volume_rays
 from jaxscan.rig import BowedSheet
 from jaxscan.rig.board_shape import shape_in_words
@@ -71,10 +72,9 @@ def _shapes(calibration: Calibration) -> list[str]:
         said.append(f"The sensor is tilted by {degrees:.2f}° against the lens.")
     for light in light_summary(calibration.rig, covariance, image_rays(camera)):
         if "curved_mm" in light:
-            which = f' of laser "{light["name"]}"' if light["name"] else ""
             error = "" if light["curved_mm_sigma"] is None else f" ± {light['curved_mm_sigma']:.2g}"
             said.append(
-                f"The sheet of light{which} is curved by {light['curved_mm']:.3f}{error} mm over "
+                f"The sheet of light{of_laser(light['name'])} is curved by {light['curved_mm']:.3f}{error} mm over "
                 f"{2 * HALF_WIDTH_MM:g} mm in the middle of the image."
             )
     shape = shape_in_words(calibration.shape_facts())
@@ -83,7 +83,6 @@ def _shapes(calibration: Calibration) -> list[str]:
 
 def volume(volume: WorkingVolume) -> Section:
     """σ over the working volume."""
-    name = f' of laser "{volume.laser}"' if volume.laser else ""
     caption = (
         "σ of a point along its ray over the part of the light sheet that the camera sees, between the nearest and "
         "the farthest stripe point of the calibration. Right: how much of it is the rig's (the same for all points "
@@ -91,7 +90,7 @@ def volume(volume: WorkingVolume) -> Section:
         "range σ grows."
     )
     picture = draw(f"working-volume{volume.laser and '-' + volume.laser}", caption, plots.volume(volume))
-    return Section(f"How well a point is known{name}", figures=(picture,))
+    return Section(f"How well a point is known{of_laser(volume.laser)}", figures=(picture,))
 
 
 def photographs(calibration: Calibration, diagnostics: Diagnostics) -> Section:
@@ -184,8 +183,7 @@ def light(calibration: Calibration, volumes: tuple[WorkingVolume, ...], optics: 
     for i, name in enumerate(calibration.observations.lasers):
         of_laser = [np.asarray(stripe.light, np.float32) for stripe in seen if stripe.laser == i]
         if (found := Light.of(of_laser)) is not None:
-            laser = f'laser "{name}"' if name else "the laser"
-            said.append(f"In photographs of {laser}, in the median: {found.in_words()}.")
+            said.append(f"In photographs of {laser_called(name)}, in the median: {found.in_words()}.")
             if optics is not None and name in by_laser:
                 said.append(_limit(calibration, by_laser[name], optics, found.speckle_contrast))
     return Section("The light", paragraphs=tuple(said)) if said else None

@@ -15,6 +15,7 @@ from jaxscan.calibration.diagnostics import Diagnostics
 from jaxscan.calibration.diagnostics.light_planes import light_plane_doubts
 from jaxscan.calibration.diagnostics.stripe_shapes import StripeShape
 from jaxscan.calibration.diagnostics.swept_offsets import SweptOffsets, curved_alike_mm, swept_offsets
+from jaxscan.phrases import first_few, of_laser
 from jaxscan.rig import MovingLight
 from jaxscan.view.report import Box
 
@@ -27,7 +28,6 @@ _OFFSET_NOISE, _OFFSET_OTHERS = 4.0, 3.0
 # Stripes lie beside the plane as wholes, by this times as much as they are crooked: by noise alone 0.25 times. Of a few
 # stripes the plane takes up most.
 _WHOLES, _FEWEST_WHOLES = 1.0, 5
-_NAMED = 5
 
 
 @dataclass(frozen=True)
@@ -114,7 +114,7 @@ def _not_straight(
     bent = [s for s in _crooked(diagnostics.stripes) if s.laser not in curved and s.laser not in beside]
     if not bent:
         return []
-    names = listed([f"{s.label} ({s.bend_mm:.2f} mm from peak to valley)" for s in bent])
+    names = first_few([f"{s.label} ({s.bend_mm:.2f} mm from peak to valley)" for s in bent])
     several = any(s.position is not None for s in bent)
     part = ", or the stripe is in part a reflection where others on the same board are straight" if several else ""
     return [
@@ -143,7 +143,7 @@ def _single_beside(
     ]
     if not far:
         return []
-    names = listed([f"{s.label} ({s.offset_mm:+.2f} mm)" for s in far])
+    names = first_few([f"{s.label} ({s.offset_mm:+.2f} mm)" for s in far])
     swept = all(s.position is not None for s in far)
     return [
         Box(
@@ -155,12 +155,6 @@ def _single_beside(
             else "The board moved between corners and stripe, is bent as a whole, or its squares are of another size.",
         )
     ]
-
-
-def listed(words: list[str]) -> str:
-    """The first few, and how many more."""
-    more = len(words) - _NAMED
-    return ", ".join(words[:_NAMED]) + (f" and {more} more" if more > 0 else "")
 
 
 def _sags(diagnostics: Diagnostics) -> dict[str, float]:
@@ -233,7 +227,7 @@ def _curved_sweeps(diagnostics: Diagnostics, sags: Mapping[str, float]) -> list[
         boxes.append(
             Box(
                 "care",
-                f"The stripes{_which(laser)} are curved alike on all boards, by {sag:.2g} mm over {length:.0f} mm in "
+                f"The stripes{of_laser(laser)} are curved alike on all boards, by {sag:.2g} mm over {length:.0f} mm in "
                 "the median: the sheet of light may be curved, and was taken as flat.",
                 "There is no curved sheet that is swept: turn the line lens until it is square to its beam, take "
                 "another laser, or use the middle of its fan only. If all boards are one plate, or bent alike, it "
@@ -243,17 +237,13 @@ def _curved_sweeps(diagnostics: Diagnostics, sags: Mapping[str, float]) -> list[
     return boxes
 
 
-def _which(laser: str) -> str:
-    return f' of laser "{laser}"' if laser else ""
-
-
 def _off_the_plane(laser: str, own: Sequence[StripeShape]) -> Box:
     """Boards that were not where their corners say when the stripe was photographed."""
     beside, crooked = _usual(own)
-    names = listed([f"{s.name} ({s.beside_mm:.2g} mm)" for s in own])
+    names = first_few([f"{s.name} ({s.beside_mm:.2g} mm)" for s in own])
     return Box(
         "care",
-        f"The stripes{_which(laser)} are straight and fit no plane: each as a whole lies beside the light plane, by "
+        f"The stripes{of_laser(laser)} are straight and fit no plane: each as a whole lies beside the light plane, by "
         f"{beside:.2g} mm in the median, {beside / crooked:.1f} times as far as they are crooked. The farthest are "
         f"{names}. The boards were not where their corners say when the stripe was photographed.",
         "Where corners and stripe have photographs of their own, the board moved between them: put it on a "
@@ -270,7 +260,7 @@ def _off_the_sweep(calibration: Calibration, laser: str, own: Sequence[StripeSha
     amount, unit = cast(MovingLight, light).amount(high - low)
     apart = f"{high - low:.2g} steps, or {amount:.2g} {unit} of the light, apart"
     what = (
-        f"The stripes{_which(laser)} are straight, and each as a whole lies beside the sheet of light, by "
+        f"The stripes{of_laser(laser)} are straight, and each as a whole lies beside the sheet of light, by "
         f"{beside:.2g} mm RMS, {beside / crooked:.1f} times as far as they are crooked"
     )
     if found.by == "steps":
@@ -293,7 +283,7 @@ def _off_the_sweep(calibration: Calibration, laser: str, own: Sequence[StripeSha
             f'Move axis "{axis}" to every position in the same direction and from the same stop, in the scans too, and '
             "put the board on a stand that nothing touches from its first photograph to its last.",
         )
-    names = listed([f"{s.label} ({s.beside_mm:.2g} mm)" for s in own])
+    names = first_few([f"{s.label} ({s.beside_mm:.2g} mm)" for s in own])
     return Box(
         "care",
         f"{what}, neither alike at one step nor on one board. The farthest are {names}.",

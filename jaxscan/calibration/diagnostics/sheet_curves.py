@@ -21,6 +21,7 @@ from jaxscan.calibration.rounds import Refined
 from jaxscan.calibration.sheet_curve import SheetCurve
 from jaxscan.files.rig_checks import image_rays
 from jaxscan.geometry import Pose, dual_plane_of
+from jaxscan.phrases import of_laser
 from jaxscan.precision import as_numpy
 from jaxscan.rig import BowedSheet, Covariance, LightPlane, Motion, Rig
 from jaxscan.rig.board_shape import N_TERMS, basis, middle_and_half, places_on_board
@@ -88,13 +89,12 @@ def unclear_bows(rig: Rig, covariance: Covariance) -> tuple[str, ...]:
         (bow,), (sigma,) = light["bow"]["value"], light["bow"]["sigma"]
         if sigma is None or abs(bow) > _UNCLEAR * sigma:
             continue
-        which = f' of laser "{light["name"]}"' if light["name"] else ""
         by = ""
         if "curved_mm" in light:
             by = f", {light['curved_mm']:.2g} ± {light['curved_mm_sigma']:.1g} mm over {2 * HALF_WIDTH_MM:g} mm,"
         notes.append(
-            f"the bow of the sheet of light{which}{by} cannot be distinguished from none: calibrate with "
-            "--sheet plane, or let the stripe cross the boards at both of its ends"
+            f"the bow of the sheet of light{of_laser(light['name'])}{by} cannot be distinguished from none: calibrate "
+            "with --sheet plane, or let the stripe cross the boards at both of its ends"
         )
     return tuple(notes)
 
