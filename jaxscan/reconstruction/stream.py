@@ -234,7 +234,7 @@ class Scanner:
         for some, axes in frames_of(with_positions(frames), background, self._content.rig.camera.image_size, batch):
             if first is None:
                 first = some.positions[0]
-                check_colours(some.images[: len(some.positions)], settings.color, "frame 0")
+                check_colours(some.photographs, settings.color, "frame 0")
             moved = (some.positions != first).any(axis=0)
             moving = [axis for axis, each in zip(axes, moved, strict=True) if each and not is_detail(axis)]
             check_axes(self._content.rig, moving, axes, "frames:", settings.name)
@@ -275,8 +275,11 @@ class Scanner:
         read = frames_of_scan(longer, rig.camera.image_size, self._decoders, kept)
         read = to_close.enter_context(closing(read))
         repeats, hot, shift = RepeatWatch(), HotPixels(scan.laser.columns), BackgroundWatch(longer)
-        # A laser-off photograph has the hot pixels too.
-        seen = _shown(shift.looks_on(read), [repeats.see] if scan.backgrounds else [repeats.see, hot.correct])
+        watchers = [shift.see, lambda some: repeats.see(some.photographs)]
+        if not scan.backgrounds:
+            # A laser-off photograph has the hot pixels too.
+            watchers.append(lambda some: hot.correct(some.photographs))
+        seen = _shown(read, watchers)
         batches = self._batches(longer, seen, halo, _at_most(advance, len(scan.frames) or sys.maxsize))
         found: Iterator[tuple[RangeImage, Stripe | None]]
         if passage is None:
@@ -357,11 +360,11 @@ def _at_most(advance: Callable[[int], object], most: int) -> Callable[[int], obj
     return told
 
 
-def _shown(frames: Iterable[Frames], watchers: Sequence[Callable[[np.ndarray], None]]) -> Iterator[Frames]:
-    """The frames, after each of those who watch has seen the photographs that count."""
+def _shown(frames: Iterable[Frames], watchers: Sequence[Callable[[Frames], None]]) -> Iterator[Frames]:
+    """The frames, after each of those who watch has seen them."""
     for some in frames:
         for each in watchers:
-            each(some.images[: len(some.positions)])
+            each(some)
         yield some
 
 
