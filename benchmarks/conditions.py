@@ -23,8 +23,9 @@ from jaxscan.precision import as_numpy, float64
 from jaxscan.rig import Camera, Rig
 from jaxscan.simulation import rig_2003
 from jaxscan.simulation.accuracy import near_its_true_point
-from jaxscan.simulation.folders import JPEG_QUALITY, ScanTruth, simulate_scan, simulate_session
+from jaxscan.simulation.folders import ScanTruth, simulate_scan, simulate_session
 from jaxscan.simulation.light import Sensor
+from jaxscan.simulation.photographs import JPEG_QUALITY
 from jaxscan.simulation.plate import Checks, Plate
 from jaxscan.simulation.profile import true_profile
 from jaxscan.simulation.scene import Body, Scene

@@ -30,7 +30,7 @@ from jaxscan.cli.calibrate import calibrate_session
 from jaxscan.cli.compiled import keep_compiled
 from jaxscan.cli.main import main as jaxscan
 from jaxscan.cli.reconstruct import reconstruct_scan
-from jaxscan.cli.simulate import simulate_into
+from jaxscan.cli.simulated_world import simulate_into
 from jaxscan.files.rig_file import RigFile, write_rig
 from jaxscan.images import StripeSettings, detect_stripe
 from jaxscan.reconstruction import read_range_image

@@ -16,7 +16,8 @@ from hardware.places import STAGE, TURNTABLE
 from hardware.safety import safely
 from hardware.scan import Devices, ensure_homed, lost_steps, verifiable
 from jaxscan.errors import InputError
-from jaxscan.files.session import SESSION_FILE, Session, StageImages, TurntableImages, Views, write_session
+from jaxscan.files.session import SESSION_FILE, Session, Views, write_session
+from jaxscan.files.session_axes import StageImages, TurntableImages
 from jaxscan.images import Board, StripeSettings, draw_board, find_board, write_image
 
 _LEAST_VIEWS = 3

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from jaxscan.calibration.assemble import assemble
 from jaxscan.calibration.blocks import sequence_blocks, view_blocks
 from jaxscan.calibration.bundle import Factor
 from jaxscan.calibration.diagnostics.sheet_curves import unclear_bows
@@ -39,11 +40,12 @@ from jaxscan.calibration.refusals import (
     with_remarks,
 )
 from jaxscan.calibration.residuals import Blocks, Noise, far_away
-from jaxscan.calibration.result import Calibration, assemble
+from jaxscan.calibration.result import Calibration
 from jaxscan.calibration.rounds import refine
 from jaxscan.calibration.stage_kinds import begun, first_approach, shape_parameters, with_kinds
 from jaxscan.errors import InputError
 from jaxscan.geometry import Pose
+from jaxscan.phrases import laser_called, laser_prefix
 from jaxscan.precision import as_float64, as_jax, float64
 from jaxscan.rig import LIGHTS, BoardShape, Camera, Light, LightPlane, Rig, System
 from jaxscan.rig.board_shape import BENDS, BOARD_SHAPES
@@ -121,10 +123,9 @@ def calibrate(
         raise InputError(f"light names {len(kinds)} kinds for {len(observations.lasers)} lasers: give one for each")
     for kind, name in zip(kinds, observations.lasers, strict=True):
         if moves(LIGHTS[kind]) != (name in observations.light_axes):
-            said = f'laser "{name}"' if name else "the laser"
             raise InputError(
-                f'{said}: light = "{kind}", and light_axes of the observations is {dict(observations.light_axes)}: '
-                "name there what moves it if its light moves, and only then"
+                f'{laser_called(name)}: light = "{kind}", and light_axes of the observations is '
+                f"{dict(observations.light_axes)}: name there what moves it if its light moves, and only then"
             )
     if board_shape not in BOARD_SHAPES:
         raise InputError(f'board_shape = "{board_shape}": there are {", ".join(BOARD_SHAPES)}')
@@ -267,10 +268,9 @@ def _first_lights(
     for i, (kind, name) in enumerate(zip(kinds, observations.lasers, strict=True)):
         points, view, positions = stripe_points_in_space(observations, camera, poses, i)
         if len(np.unique(view)) < FEWEST_STRIPES:
-            which = f'laser "{name}": ' if name else ""
             raise InputError(
-                f"{which}the stripe lies on the board in {len(np.unique(view))} views; at least {FEWEST_STRIPES} are "
-                "needed: check [laser] color and columns, and that the stripe crosses the board"
+                f"{laser_prefix(name)}the stripe lies on the board in {len(np.unique(view))} views; at least "
+                f"{FEWEST_STRIPES} are needed: check [laser] color and columns, and that the stripe crosses the board"
             )
         light = LIGHTS[kind]
         if moves(light):

@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+from jaxscan.phrases import of_laser
+
 
 @dataclass(frozen=True)
 class Change:
@@ -44,10 +46,9 @@ class Change:
                 "was pushed in its mount, or the photographs are cut or stabilised otherwise"
             )
         if self.kind == "light":
-            which = f' of laser "{self.laser}"' if self.laser else ""
             return (
-                f"the sheet of light{which} turned by {first:.2g}° and moved by {second:.2g} mm, seen from the camera: "
-                "laser or camera was pushed"
+                f"the sheet of light{of_laser(self.laser)} turned by {first:.2g}° and moved by {second:.2g} mm, seen "
+                "from the camera: laser or camera was pushed"
             )
         return (
             f"the board turned by {first:.2g}° and moved by {second:.2g} mm beside its axis: it, or the camera, was "

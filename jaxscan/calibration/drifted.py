@@ -3,6 +3,8 @@
 from dataclasses import dataclass
 from typing import Final
 
+from jaxscan.phrases import of_laser
+
 # What drifts, how its amount is said, and what to do.
 _WORDS: Final = {
     "focus": (
@@ -45,6 +47,5 @@ class Drift:
     def statement(self) -> tuple[str, str]:
         """What is the case and what to do."""
         what, fix = _WORDS[self.kind]
-        of = f' of laser "{self.laser}"' if self.laser else ""
         moved = f"; it moves {self.parameter} by {self.shift_in_sigma:.1f} of its σ, which is widened by that"
-        return f"{what.format(self.by)}{of}{moved}", f"{fix}; then photograph again."
+        return f"{what.format(self.by)}{of_laser(self.laser)}{moved}", f"{fix}; then photograph again."

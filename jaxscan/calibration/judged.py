@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Array, Bool
 
+from jaxscan.calibration.assemble import assemble
 from jaxscan.calibration.bundle import Factor
 from jaxscan.calibration.by_photograph import ByPhotograph
 from jaxscan.calibration.diagnostics.board_flatness import board_flatness
@@ -16,7 +17,7 @@ from jaxscan.calibration.diagnostics.stage_shapes import rows_of_shapes, stage_s
 from jaxscan.calibration.diagnostics.stripe_shapes import stripe_shapes
 from jaxscan.calibration.leave_one_out import leave_one_out
 from jaxscan.calibration.observations import Observations, Unused
-from jaxscan.calibration.result import Calibration, assemble
+from jaxscan.calibration.result import Calibration
 from jaxscan.calibration.rounds import Refined
 from jaxscan.calibration.stage_paths import courses
 from jaxscan.calibration.widening import widened

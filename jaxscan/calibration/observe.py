@@ -13,7 +13,8 @@ from jaxscan.calibration.observations import BoardSequence, HandSettings, Observ
 from jaxscan.deadline import Workers, result_of
 from jaxscan.detectors import DEFAULT, Detector, check_detector
 from jaxscan.errors import InputError, error_context
-from jaxscan.files.session import Session, StageImages, TurntableImages
+from jaxscan.files.session import Session
+from jaxscan.files.session_axes import StageImages, TurntableImages
 from jaxscan.files.session_sweeps import Sweep
 from jaxscan.files.settings import relative_name
 from jaxscan.files.text_order import text_order_note
@@ -38,6 +39,7 @@ from jaxscan.images.stripes.brightest import brighter_color, miscoloured
 from jaxscan.images.stripes.colourless import check_colours
 from jaxscan.images.stripes.other_colour import colour_that_shows
 from jaxscan.images.stripes.settle import Band
+from jaxscan.phrases import stripe_of
 from jaxscan.rig.stripe_way import STEEP, across_note
 
 # The stripe's centre is taken from what exceeds half its height; the lens smears the edge of a square by this (px).
@@ -129,7 +131,7 @@ def observe(
             if not np.isfinite(stripe.pixels).any():
                 laser = session.lasers[stripe.laser]
                 at = f" at step {stripe.position:g}" if laser.name in session.light_axes else ""
-                left_out.append(f"{seen.name}: no {_stripe_of(laser)} was found{at}")
+                left_out.append(f"{seen.name}: no {stripe_of(laser.name)} was found{at}")
     notes = _in_text_order(session)
     twice = [p.name for p in (*photographs, *staged) if p.second_board]
     if twice:
@@ -199,10 +201,6 @@ def _name(session: Session, path: Path) -> str:
     return relative_name(path, session.path.parent)
 
 
-def _stripe_of(laser: StripeSettings) -> str:
-    return f"stripe of laser {laser.name}" if laser.name else "stripe"
-
-
 def _across(lasers: Sequence[StripeSettings], views: Sequence[View]) -> list[str]:
     """Which lasers' stripes run across the direction in which they are searched."""
     notes = []
@@ -226,7 +224,7 @@ def _miscoloured(lasers: Sequence[StripeSettings], views: Sequence[View]) -> lis
         found = [stripe.brighter for view in views for stripe in view.stripes if stripe.laser == i]
         said = miscoloured(found, laser)
         if said is not None:
-            notes.append(f"the {_stripe_of(laser)} {said}")
+            notes.append(f"the {stripe_of(laser.name)} {said}")
     return notes
 
 
@@ -242,7 +240,7 @@ def _in_another_colour(session: Session, photographs: Sequence[_Photograph], vie
         shown = colour_that_shows(map(read_image, with_board[:_TRIED]), laser)
         if shown is not None:
             notes.append(
-                f'no {_stripe_of(laser)} was found with color = "{laser.color}", but with color = "{shown}" there '
+                f'no {stripe_of(laser.name)} was found with color = "{laser.color}", but with color = "{shown}" there '
                 "is one: set this under [laser]"
             )
     return notes
@@ -256,7 +254,7 @@ def _no_bell(lasers: Sequence[StripeSettings], views: Sequence[View]) -> list[st
         seen = [stripe for stripe in found if np.isfinite(stripe.pixels).any()]
         said = no_bell([stripe.odd for stripe in seen], [stripe.black for stripe in seen], "photographs")
         if said is not None:
-            notes.append(f"the {_stripe_of(laser)}: its {said}")
+            notes.append(f"the {stripe_of(laser.name)}: its {said}")
     return notes
 
 

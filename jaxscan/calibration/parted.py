@@ -3,6 +3,8 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from jaxscan.phrases import of_laser
+
 
 @dataclass(frozen=True)
 class Amount:
@@ -99,12 +101,11 @@ class Parted:
 
 def called(part: str, name: str = "") -> str:
     """A part of the rig in words."""
-    of = f' of laser "{name}"' if name else ""
     return {
         "focus": "the focal length",
         "image": "the principal point",
         "lens": "the lens's distortion",
-        "light": f"the sheet of light{of}",
+        "light": f"the sheet of light{of_laser(name)}",
         "motion": f"the motion of the {name}",
         "place": f"the board on the {name}",
     }[part]

@@ -22,6 +22,7 @@ from jaxscan.calibration.rounds import Refined
 from jaxscan.calibration.stage_order import stage_orders
 from jaxscan.errors import InputError, ObservabilityError, SolveError
 from jaxscan.files.rig_checks import image_rays
+from jaxscan.phrases import of_laser
 from jaxscan.rig import MOTIONS, BowedSheet, Camera, LightPlane, MovingLight, Rig
 from jaxscan.rig.board_shape import FEWEST_VIEWS_FOR, bent_by, half_diagonal_of
 from jaxscan.rig.fisheye import Fisheye
@@ -135,11 +136,10 @@ def check_enough(observations: Observations) -> None:
     for i, name in enumerate(observations.lasers):
         striped = sum(_stripe_points(view, i) >= FEWEST_STRIPE_POINTS for view in observations.photographs())
         if striped < FEWEST_STRIPES:
-            which = f'of laser "{name}" ' if name else ""
             raise InputError(
-                f"{striped} usable stripes {which}on the board; at least {FEWEST_STRIPES} are needed, at different "
-                f"distances: check [laser] color and columns, that the stripe crosses the board, and, where it has "
-                f"photographs of its own, that boards and stripes are not exchanged"
+                f"{striped} usable stripes{of_laser(name)} on the board; at least {FEWEST_STRIPES} are needed, at "
+                "different distances: check [laser] color and columns, that the stripe crosses the board, and, where "
+                "it has photographs of its own, that boards and stripes are not exchanged"
             )
     for sequence in observations.sequences:
         check_places(sequence.axis, sequence.kind, len(np.unique(sequence.steps)))

@@ -19,7 +19,7 @@ from jaxtyping import Float
 from jaxscan.calibration.observations import Observations
 from jaxscan.calibration.on_board import meet_board, pose_of
 from jaxscan.geometry import Pose
-from jaxscan.images.stripes.likelihood import FWHM
+from jaxscan.images.stripes.bell import FWHM
 from jaxscan.rig import Rig
 from jaxscan.rig.board_shape import BentBoard
 from jaxscan.rig.light import distance, stood

@@ -14,6 +14,7 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
+from jaxscan.calibration.assemble import rejected_points
 from jaxscan.calibration.blocks import reference_positions, sequence_blocks, view_blocks
 from jaxscan.calibration.by_photograph import ByPhotograph
 from jaxscan.calibration.calibrate import calibrate
@@ -23,7 +24,7 @@ from jaxscan.calibration.observations import Observations, Unused
 from jaxscan.calibration.parted import Difference, Parted, called
 from jaxscan.calibration.refusals import check_solved
 from jaxscan.calibration.residuals import Noise, far_away
-from jaxscan.calibration.result import Calibration, rejected_points
+from jaxscan.calibration.result import Calibration
 from jaxscan.calibration.rounds import Refined, refine
 from jaxscan.calibration.split_amounts import amounts, place_difference
 from jaxscan.calibration.split_parts import Part, choose_parts, in_words, lent, parts_of, price, risen, scatter

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+from jaxscan.phrases import first_few
 from jaxscan.rig.guide import Guide, Screw, ScrewOnGuide
 from jaxscan.rig.linear import Linear
 from jaxscan.rig.play import kind_with_play
@@ -88,9 +89,8 @@ _TAKEN |= {kind_with_play(kind): f"{words} with play" for kind, words in _TAKEN.
 
 def aliases_in_words(aliases: tuple[float, ...]) -> str:
     """That a period is not the only one, and how to find out which it is."""
-    some = ", ".join(f"{period:.5g}" for period in aliases[:_FEW])
-    more = f" and {len(aliases) - _FEW} more" if len(aliases) > _FEW else ""
+    some = first_few([f"{period:.5g}" for period in aliases], _FEW)
     return (
-        f"Its photographs do not distinguish that period from those of {some}{more} steps: photograph the board at "
-        "uneven steps, or give the screw's turn as screw_steps under [stage]"
+        f"Its photographs do not distinguish that period from those of {some} steps: photograph the board at uneven "
+        "steps, or give the screw's turn as screw_steps under [stage]"
     )

@@ -41,7 +41,8 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
 
     begin = time.monotonic()
     out, name = args.output, "panda"
-    from jaxscan.cli.simulate import check_folder, simulate_into
+    from jaxscan.cli.simulate import check_folder
+    from jaxscan.cli.simulated_world import simulate_into
 
     # A demo of before is replaced without being asked for.
     check_folder(out, args.seed, replaced=args.force or (out / f"{name}.npz").is_file())

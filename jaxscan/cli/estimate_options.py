@@ -249,7 +249,7 @@ def estimate_asked(args: argparse.Namespace) -> Estimate:
         if args.board_shape not in BOARD_SHAPES:
             raise InputError(f"--board-shape {args.board_shape}: there are {', '.join(BOARD_SHAPES)}")
     if args.stage_motion is not None:
-        from jaxscan.files.session import stage_motions
+        from jaxscan.files.session_axes import stage_motions
 
         if args.stage_motion not in stage_motions():
             raise InputError(f"--motion {args.stage_motion}: a stage's is one of {', '.join(stage_motions())}")

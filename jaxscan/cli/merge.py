@@ -309,7 +309,7 @@ def _written(
 ) -> dict[str, Any]:
     import numpy as np
 
-    from jaxscan.cli.mesh import simplified
+    from jaxscan.cli.mesh_surface import simplified
     from jaxscan.files.cloud import Cloud
     from jaxscan.files.mesh import write_mesh_ply, write_trimesh
     from jaxscan.surface.painted import colours_near, painted_sides

@@ -5,6 +5,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from jaxscan.cli.mesh_points import prepared, scanned_floor
+from jaxscan.cli.mesh_surface import simplified, surface_of_cloud, surface_of_image, vertex_colours
 from jaxscan.cli.options import add_outputs_argument, add_units_argument, check_outputs, check_units, finite, numbers
 from jaxscan.cli.progress import step
 from jaxscan.cli.texture_options import add_texture_arguments, check_texture, texture_asked, texture_in_words
@@ -86,20 +88,20 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     result: dict[str, Any] = {"kind": "mesh", "path": [str(path) for path in args.output]}
     meshed = bool(args.output or args.png)
     # The floor's own file is named by what is wrong with it, and not the scan's.
-    bed = _scanned_floor(args.floor)
+    bed = scanned_floor(args.floor)
     step(f"reading {args.points}")
     with error_context(args.points):
         if args.points.suffix.lower() == ".npz":
             from jaxscan.reconstruction import read_range_image
 
             scanned = read_range_image(args.points)
-            image, floor = _prepared(scanned, args, result, bed)
+            image, floor = prepared(scanned, args, result, bed)
             if not meshed:
                 return result
             step("joining the points")
             result["points_left"] = int(image.valid.sum())
             painted = scanned.cloud()
-            mesh, cloud, quads = _of_image(image, args, result)
+            mesh, cloud, quads = surface_of_image(image, args, result)
         else:
             from jaxscan.files.exchange import read_cloud
             from jaxscan.files.units import cloud_in_millimetres
@@ -107,7 +109,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
             scanned, image, floor, quads = None, None, None, None
             cloud = cloud_in_millimetres(str(args.points), read_cloud(args.points), args.units)
             step("joining the points")
-            mesh, painted = _of_cloud(cloud, args), cloud
+            mesh, painted = surface_of_cloud(cloud, args), cloud
             if args.floor != "keep":
                 result["note"] = "a floor and stray points are kept: they are looked for in a range image (.npz) alone"
         if args.simplify is not None:
@@ -117,7 +119,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     step("colouring")
     own = None if cloud is None else cloud.colours
     texture = texture_asked(args, mesh, own, painted, scanned, result)
-    colours = _colours(mesh, own, painted)
+    colours = vertex_colours(mesh, own, painted)
     result["coloured"] = None if colours is None else int(colours.any(axis=1).sum())
     for path in args.output:
         step(f"writing {path}")
@@ -141,16 +143,6 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         "closed": bool(mesh.is_watertight),
         "volume_mm3": float(mesh.volume) if mesh.is_watertight else None,
     }
-
-
-def simplified(mesh: "trimesh.Trimesh", triangles: int) -> "trimesh.Trimesh":
-    """A mesh of at most this number of triangles (Garland and Heckbert 1997, by fast-simplification).
-
-    Raises:
-        InputError: the extra is not installed.
-    """
-    extra("simplify")
-    return mesh if triangles >= len(mesh.faces) else mesh.simplify_quadric_decimation(face_count=triangles)
 
 
 def _check(args: argparse.Namespace) -> None:
@@ -201,178 +193,6 @@ def _check(args: argparse.Namespace) -> None:
     needed = {"plots": args.png, "poisson": args.method == "poisson", "simplify": args.simplify is not None}
     for name in [name for name, asked in needed.items() if asked]:
         extra(name)
-
-
-def _prepared(
-    image: "RangeImage", args: argparse.Namespace, result: dict[str, Any], bed: "Floor | None"
-) -> "tuple[RangeImage, Floor | None]":
-    """Cropped, thinned, cleaned, without the floor, filled and resampled, as was asked for."""
-    from dataclasses import asdict
-
-    import numpy as np
-
-    from jaxscan.surface.bed import ScannedFloor
-    from jaxscan.surface.clean import clean
-    from jaxscan.surface.floor import stands_on
-    from jaxscan.surface.holes import fill_holes
-    from jaxscan.surface.links import sampling
-    from jaxscan.surface.resample import resample
-
-    if not image.valid.any():
-        raise InputError("has no points: check that the photographs show the stripe")
-    if args.crop:
-        image = image.cropped(args.crop[:3], args.crop[3:])
-    if args.every:
-        image = image[:: args.every[0], :: args.every[1]]
-    result["points_read"] = int(image.valid.sum())
-    turns = [(sweep, whole) for sweep in image.sweeps() if len(sweep.valid) > 1 and (whole := sweep.full_turn)]
-    apart = [float(np.median(np.abs(sweep.gaps()))) * 360 / whole for sweep, whole in turns]
-    result["degrees_apart"] = max(apart, default=None)
-    if not args.raw:
-        step("cleaning")
-        cleaned = clean(image, sampling(image))
-        result["removed"] = cleaned.counts()
-        image = cleaned.image
-    step("finding the floor")
-    floor = bed or _floor(image, args.floor)
-    if floor is not None and args.plateaus:
-        from jaxscan.surface.plateaus import plateaus
-
-        found = plateaus(image, floor, **({"least_mm2": args.plateau_area} if args.plateau_area else {}))
-        result["plateaus"] = [asdict(one) | {"centre": one.centre.tolist()} for one in found]
-        if not (args.output or args.png):
-            return image, floor
-    if floor is not None:
-        kept = stands_on(image, floor)
-        result["floor"] = {
-            "sigma_mm": floor.sigma_mm,
-            "tolerance_mm": floor.tolerance_mm,
-            "flatness_mm": floor.flatness_mm if np.isfinite(floor.flatness_mm) else None,
-            "normal": floor.up.tolist(),
-            "points": int((image.valid & ~kept).sum()),
-        }
-        if isinstance(floor, ScannedFloor):
-            beside = image.valid & np.isnan(floor.height(image.points))
-            result["floor"] |= {"scan": args.floor, "points_beside_the_scan": int(beside.sum())}
-        image = image.where(kept)
-    if args.fill is not None:
-        step("filling holes")
-        image = fill_holes(image, args.fill)
-    if args.grid is not None:
-        step("resampling")
-        from jaxscan.geometry.robust_plane import dominant_plane
-
-        frame = floor.frame if floor else dominant_plane(image.points[image.valid])
-        image = resample(image, args.grid, frame)
-    return image, floor
-
-
-def _scanned_floor(how: str) -> "Floor | None":
-    """The floor that a scan of its own shows; None where `--floor` names none."""
-    if Path(how).suffix.lower() != ".npz":
-        return None
-    from jaxscan.errors import error_context
-    from jaxscan.reconstruction import read_range_image
-    from jaxscan.surface.bed import floor_from_scan
-
-    with error_context(how):
-        return floor_from_scan(read_range_image(how))
-
-
-def _floor(image: "RangeImage", how: str) -> "Floor | None":
-    from jaxscan.surface.floor import find_floor, floor_from_picks
-
-    if how == "keep":
-        return None
-    if how == "auto":
-        return find_floor(image)
-    try:
-        picks = [numbers(3)(pick) for pick in how.split(":")]
-    except argparse.ArgumentTypeError as error:
-        raise InputError(f"--floor {how}: is none of auto, keep, a .npz file, or points X,Y,Z:X,Y,Z:X,Y,Z") from error
-    return floor_from_picks(image, picks)
-
-
-def _of_image(
-    image: "RangeImage", args: argparse.Namespace, result: dict[str, Any]
-) -> "tuple[trimesh.Trimesh, Cloud | None, Any]":
-    import numpy as np
-    import trimesh
-
-    from jaxscan.files.cloud import Cloud
-    from jaxscan.surface.passage_fit import passage_fit
-    from jaxscan.surface.passages import passages
-
-    masks = passages(image)
-    result["passages"] = times = len(masks)
-    if (fit := passage_fit(image, masks)) is not None:
-        result["passages_apart_mm"] = fit._asdict()
-        result["turned_the_other_way"] = fit.turned_the_other_way
-    if times > 1 and args.quads and args.method is None:
-        raise InputError(
-            f"--quads: the scan has shown the object {times} times, and one surface of all has no quadrilaterals: "
-            "leave --quads out, or give --method grid for a layer of each"
-        )
-    if times > 1 and args.method == "delaunay":
-        raise InputError(
-            f"--method delaunay: the scan has shown the object {times} times, from all around: leave it out, or give "
-            "--method grid or poisson"
-        )
-    if args.method == "fused" or (args.method is None and times > 1):
-        from jaxscan.surface.fused import fused
-
-        found = fused(image)
-        result["seen_times"] = float(found.sides.mean())
-        result["passages_disagree"] = found.disagreement
-        return found.mesh, found.cloud(), None
-    if args.method in (None, "grid"):
-        from jaxscan.surface.triangles import facing_away, grid_surface
-
-        surface = grid_surface(image)
-        result["facing_away"] = facing_away(surface, image)
-        known = [getattr(image, name).ravel()[surface.place] for name in ("sigma", "sigma_pixel")]
-        sigma, pixel = (values if np.isfinite(values).all() else None for values in known)
-        mesh = trimesh.Trimesh(surface.vertices, surface.triangles, process=False)
-        painted = (getattr(image, name) for name in ("colours", "albedo"))
-        colours, albedo = (None if of is None else of.reshape(-1, *of.shape[2:])[surface.place] for of in painted)
-        return mesh, Cloud(surface.vertices, sigma, pixel, colours, albedo=albedo), surface.faces()
-    cloud = image.cloud()
-    if args.method == "poisson":
-        from jaxscan.surface.links import links
-        from jaxscan.surface.normals import normals
-        from jaxscan.surface.scattered import poisson_surface
-
-        return poisson_surface(cloud.points, normals(image, links(image))[image.valid]), None, None
-    return _of_cloud(cloud, args), cloud, None
-
-
-def _of_cloud(cloud: "Cloud", args: argparse.Namespace) -> "trimesh.Trimesh":
-    import numpy as np
-    import trimesh
-
-    from jaxscan.surface.scattered import delaunay_surface, light_direction, poisson_surface, scattered_normals
-
-    if args.method == "poisson":
-        return poisson_surface(cloud.points, scattered_normals(cloud.points, np.zeros(3)))
-    direction = None
-    if args.rig:
-        from jaxscan.files.rig_file import read_rig
-
-        direction = light_direction(read_rig(args.rig).rig)
-    return trimesh.Trimesh(cloud.points, delaunay_surface(cloud.points, direction), process=False)
-
-
-def _colours(mesh: "trimesh.Trimesh", own: "np.ndarray | None", painted: "Cloud") -> "np.ndarray | None":
-    """Colours of the mesh's vertices: their own, or where they are no points of the scan those of points nearby."""
-    import numpy as np
-
-    from jaxscan.surface.painted import colours_near
-
-    if own is not None:
-        return own
-    if painted.colours is None:
-        return None
-    return colours_near(np.asarray(mesh.vertices, np.float32), painted)
 
 
 def _write(

@@ -18,6 +18,7 @@ from jaxscan.files.ply_read import read_ply_file
 from jaxscan.geometry import Pose
 from jaxscan.geometry.closest import ClosestOnTriangles
 from jaxscan.images.sampled import sampled
+from jaxscan.phrases import first_few
 
 # Programs round a colour when they save it; two colours that differ by no more than this in each channel are one.
 _SAME_COLOUR: Final = 8
@@ -83,8 +84,7 @@ class ColouredMesh:
     def _most(self) -> str:
         there, count = np.unique(self.colours[self.colours[:, 0] >= 0], axis=0, return_counts=True)
         most = np.argsort(-count, kind="stable")
-        named = [written_colour(there[i]) for i in most[:_NAMED]]
-        return ", ".join(named) + (f" and {len(most) - _NAMED} more" if len(most) > _NAMED else "")
+        return first_few([written_colour(there[i]) for i in most], _NAMED)
 
 
 @dataclass(frozen=True, eq=False)

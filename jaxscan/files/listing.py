@@ -11,6 +11,7 @@ from typing import Any
 from jaxscan.errors import InputError
 from jaxscan.files.table import Table, show
 from jaxscan.images import image_size
+from jaxscan.phrases import first_few
 
 _NAMES_SHOWN = 3
 # Files whose numbers are looked at, and the part of them that has to follow each other.
@@ -117,8 +118,7 @@ def gap_in_numbers(paths: Sequence[Path]) -> tuple[Path, Path] | None:
 
 def name_some(paths: Sequence[Path]) -> str:
     """A few names in words: `a.png, b.png, c.png and 7 more`."""
-    names = ", ".join(path.name for path in paths[:_NAMES_SHOWN])
-    return names + (f" and {len(paths) - _NAMES_SHOWN} more" if len(paths) > _NAMES_SHOWN else "")
+    return first_few([path.name for path in paths], _NAMES_SHOWN)
 
 
 def _matches(table: Table, key: str, pattern: str) -> tuple[Path, ...]:

@@ -21,6 +21,7 @@ from jaxscan.files.rigid import rigid_pose, turned, usable
 from jaxscan.files.table import Table
 from jaxscan.files.text import parse_file
 from jaxscan.geometry import Pose
+from jaxscan.phrases import first_few
 
 # Position and quaternion; three rows of a matrix; four.
 _COUNTS: Final = (7, 12, 16)
@@ -57,10 +58,10 @@ def read_pose_table(path: Path, photographs: Sequence[Path]) -> Pose[np.ndarray]
         else:
             missing.append(photograph.name)
     if missing:
-        some = ", ".join(missing[:3]) + (f" and {len(missing) - 3} more" if len(missing) > 3 else "")
         has = ", ".join(list(by_name)[:3]) + (" …" if len(by_name) > 3 else "")
         raise InputError(
-            f"{path}: has no pose of {some}, but of {has or 'nothing'}: begin each line with a photograph's file name"
+            f"{path}: has no pose of {first_few(missing, 3)}, but of {has or 'nothing'}: begin each line with a "
+            "photograph's file name"
         )
     return Pose(np.stack([pose.rotation for pose in poses]), np.stack([pose.translation for pose in poses]))
 

@@ -10,7 +10,9 @@ from typing import Final, TypeVar
 
 from jaxscan.errors import InputError
 from jaxscan.files.listing import name_some
-from jaxscan.files.session import Session, StageImages, TurntableImages, Views
+from jaxscan.files.session import Session, Views
+from jaxscan.files.session_axes import StageImages, TurntableImages
+from jaxscan.phrases import stripe_of
 
 _BOARD: Final = "a photograph of the board"
 _Sequence = TypeVar("_Sequence", bound=StageImages)
@@ -72,12 +74,10 @@ def _roles(session: Session, files: Mapping[Path, str]) -> dict[str, set[str]]:
         roles[files[board]].add(f"{_BOARD}, with the stripe in it" if own is None and session.lasers else _BOARD)
         for laser, sweeps in session.views.sweeps.items():
             for step, stripe in sweeps[i]:
-                of = f"the stripe of laser {laser}" if laser else "the stripe"
-                roles[files[stripe]].add(f"{of} at step {step} in the pose of {files[board]}")
+                roles[files[stripe]].add(f"the {stripe_of(laser)} at step {step} in the pose of {files[board]}")
         for laser, paths in (own or {}).items():
             if (stripe := paths[i]) is not None:
-                of = f"the stripe of laser {laser}" if laser else "the stripe"
-                roles[files[stripe]].add(f"{of} in the pose of {files[board]}")
+                roles[files[stripe]].add(f"the {stripe_of(laser)} in the pose of {files[board]}")
     for sequence in session.sequences.values():
         for path, step in zip(sequence.images, sequence.steps, strict=True):
             turned = isinstance(sequence, TurntableImages)

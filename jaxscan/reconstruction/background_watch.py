@@ -8,7 +8,6 @@ Let F be a photograph, B its laser-off photograph and C that of a neighbour. Awa
 near. What is in proportion to B is taken out of both first: lamps grow brighter and dimmer.
 """
 
-from collections.abc import Iterable, Iterator
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -48,15 +47,13 @@ class BackgroundWatch:
         # Of each photograph but the first and last, t for the one before and the one behind; NaN where they are alike.
         self._t: list[tuple[float, float]] = []
 
-    def looks_on(self, read: Iterable[Frames]) -> Iterator[Frames]:
-        """The frames as they are, after each has been looked at."""
-        for some in read:
-            if self._watches and some.backgrounds is not None:
-                for lit, off in zip(some.images[: len(some.positions)], some.backgrounds, strict=False):
-                    self._see(_Seen(_some_pixels(lit), _some_pixels(off)))
-            yield some
+    def see(self, frames: Frames) -> None:
+        """The next photographs."""
+        if self._watches and frames.backgrounds is not None:
+            for lit, off in zip(frames.photographs, frames.backgrounds, strict=False):
+                self._see_one(_Seen(_some_pixels(lit), _some_pixels(off)))
 
-    def _see(self, seen: _Seen) -> None:
+    def _see_one(self, seen: _Seen) -> None:
         self._last = [*self._last[-2:], seen]
         if len(self._last) == 3:
             before, own, behind = self._last

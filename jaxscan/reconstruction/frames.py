@@ -60,6 +60,11 @@ class Frames:
     inner: slice = field(default_factory=lambda: slice(None))
 
     @property
+    def photographs(self) -> UInt[np.ndarray, "frames rows columns *rgb"]:
+        """Those in the buffer that are of these frames."""
+        return self.images[: len(self.positions)]
+
+    @property
     def background(self) -> UInt[np.ndarray, "1 rows columns *rgb"] | None:
         """That of all frames, where they have one in common."""
         dark = self.backgrounds
@@ -90,7 +95,7 @@ def frames_of_scan(
     with closing(_of_video(scan, size, kept) if scan.video else _of_files(scan, size, decoders, kept)) as read:
         for number, some in enumerate(read):
             if not number:
-                check_colours(some.images[: len(some.positions)], scan.laser.color, scan.video or scan.frames[0])
+                check_colours(some.photographs, scan.laser.color, scan.video or scan.frames[0])
             yield some
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxscan.files.scan import Scan
+from jaxscan.phrases import first_few
 from jaxscan.reconstruction.merged_steps import step_groups
 
 # Lines that two photographs must both have, and the part of its neighbours' lines that an odd one must have.
@@ -65,10 +66,10 @@ def _odd(stripes: Float[np.ndarray, "frames lines"], shown: list[int], usual: fl
             odd.append((i, float(np.median(off)), agree))
     if not odd or len(odd) > max(1, _FEW * len(shown)):
         return []
-    some = ", ".join(f"{names[i]} ({px:.0f} px from theirs)" for i, px, _ in odd[:_NAMED])
+    some = first_few([f"{names[i]} ({px:.0f} px from theirs)" for i, px, _ in odd], _NAMED)
     do = "does" if len(odd) == 1 else "do"
     return [
-        f"the stripe of {some}{_more(len(odd))} {do} not go with those before and after it, which lie within "
+        f"the stripe of {some} {do} not go with those before and after it, which lie within "
         f"{max(agree for *_, agree in odd):.1f} px of each other: check that only this laser was on and that nothing "
         "was pushed; leave such photographs and their steps out of scan.toml. Only where a narrow rib fills the "
         "photograph is nothing wrong"
@@ -91,16 +92,12 @@ def _dark(
             dark += [i for i in between if not lines[i]]
     if not dark:
         return []
-    some = ", ".join(names[i] for i in dark[:_NAMED])
+    some = first_few([names[i] for i in dark], _NAMED)
     shows = "shows" if len(dark) == 1 else "show"
     return [
-        f"{some}{_more(len(dark))} {shows} no stripe, and those before and after do: check that the laser was on; if "
-        "its light met nothing there, nothing is wrong"
+        f"{some} {shows} no stripe, and those before and after do: check that the laser was on; if its light met "
+        "nothing there, nothing is wrong"
     ]
-
-
-def _more(count: int) -> str:
-    return f" and {count - _NAMED} more" if count > _NAMED else ""
 
 
 def stripes_apart(one: Float[np.ndarray, "lines"], other: Float[np.ndarray, "lines"]) -> float | None:

@@ -12,6 +12,7 @@ from jaxscan.files.rig_file import RigFile
 from jaxscan.files.scan import Scan
 from jaxscan.geometry import Pose
 from jaxscan.geometry.rotation import matrix_to_vector
+from jaxscan.phrases import first_few
 from jaxscan.rig import HeadPoses, Motion, ObjectPoses, PoseRange, given_poses
 
 # Poses may turn by this multiple of σ of a given rotation about a direction about which the calibration's did not; by
@@ -142,11 +143,10 @@ def _beside_path(scan: Scan, given: Pose[np.ndarray]) -> list[str]:
     found = stand_out(given)
     if not found:
         return []
-    some = ", ".join(f"{names[i]} ({mm:.1f} mm, {np.degrees(rad):.1f}°)" for i, mm, rad in found[:_NAMED])
-    more = f" and {len(found) - _NAMED} more" if len(found) > _NAMED else ""
+    some = first_few([f"{names[i]} ({mm:.1f} mm, {np.degrees(rad):.1f}°)" for i, mm, rad in found], _NAMED)
     stands = "stands" if len(found) == 1 else "stand"
     return [
-        f"the pose of {some}{more} {stands} beside the path of the frames before and behind: check that it is the "
+        f"the pose of {some} {stands} beside the path of the frames before and behind: check that it is the "
         "photograph's own, and not another one's"
     ]
 

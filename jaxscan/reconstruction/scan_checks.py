@@ -12,7 +12,7 @@ from jaxscan.files.axes import STAGE
 from jaxscan.files.listing import common_size
 from jaxscan.files.rig_file import RigFile
 from jaxscan.files.scan import Scan
-from jaxscan.files.session import SEQUENCES
+from jaxscan.files.session_axes import SEQUENCES
 from jaxscan.images import StripeSettings
 from jaxscan.reconstruction.frames import wrong_size
 from jaxscan.reconstruction.merged_steps import step_groups

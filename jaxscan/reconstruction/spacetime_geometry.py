@@ -8,7 +8,7 @@ import numpy as np
 from jaxscan.errors import InputError
 from jaxscan.files.scan import Scan
 from jaxscan.images import Stripe, detect_stripe, read_image, read_video
-from jaxscan.images.stripes.likelihood import FWHM
+from jaxscan.images.stripes.bell import FWHM
 from jaxscan.reconstruction.merged_steps import step_groups
 from jaxscan.reconstruction.spacetime import Geometry, carried, half_window
 from jaxscan.reconstruction.turns import full_turn, gaps_between

@@ -13,7 +13,7 @@ from itertools import chain
 from typing import Final
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Int
 
 from jaxscan.axis_details import is_detail
 from jaxscan.deadline import in_turn
@@ -22,14 +22,13 @@ from jaxscan.errors import InputError, error_context
 from jaxscan.files.place_checks import doubts
 from jaxscan.files.rig_file import RigFile
 from jaxscan.files.scan import Scan
-from jaxscan.images import Stripe, StripeSettings, detect_stripe
+from jaxscan.images import Stripe, StripeSettings
 from jaxscan.images.decode import Image
 from jaxscan.images.hot_pixels import HotPixels
 from jaxscan.images.stripes.batch import FRAMES_AT_ONCE
 from jaxscan.images.stripes.brightest import miscoloured
 from jaxscan.images.stripes.coherent import HALO
 from jaxscan.images.stripes.colourless import check_colours
-from jaxscan.images.stripes.settle import Band
 from jaxscan.images.stripes.validity import Verdict
 from jaxscan.reconstruction.background_watch import BackgroundWatch
 from jaxscan.reconstruction.frames import Frames, frames_of, frames_of_scan, with_positions
@@ -39,11 +38,11 @@ from jaxscan.reconstruction.odd_frames import frame_names
 from jaxscan.reconstruction.order_watch import OrderWatch
 from jaxscan.reconstruction.overlapping import overlapping
 from jaxscan.reconstruction.pose_notes import check_poses, pose_notes
-from jaxscan.reconstruction.pose_sigma import PoseSigma
 from jaxscan.reconstruction.range_image import RangeImage
+from jaxscan.reconstruction.ready_laser import ReadyLaser
 from jaxscan.reconstruction.repeat_watch import RepeatWatch
 from jaxscan.reconstruction.scan_checks import check_axes, check_lines, check_scan, sweep_notes, way_notes
-from jaxscan.reconstruction.scan_colours import object_stands, own_colours
+from jaxscan.reconstruction.scan_colours import object_stands
 from jaxscan.reconstruction.scan_notes import (
     REASONS,
     background_notes,
@@ -54,16 +53,13 @@ from jaxscan.reconstruction.scan_notes import (
     left_out_notes,
     order_notes,
 )
-from jaxscan.reconstruction.sheet_band import check_depths, depths_of, sheet_band, swept_band
+from jaxscan.reconstruction.sheet_band import check_depths, depths_of
 from jaxscan.reconstruction.sight_watch import SightWatch
-from jaxscan.reconstruction.sigma_map import MovedFrames, SigmaMap, SweptMap, point_sigmas
-from jaxscan.reconstruction.spacetime import Geometry, half_window, spacetime_profiles
+from jaxscan.reconstruction.spacetime import half_window
 from jaxscan.reconstruction.spacetime_geometry import coarse_notes, spacetime_geometry
-from jaxscan.reconstruction.thick_sheet import Looked, ThickSheet, frames_apart, middles
-from jaxscan.reconstruction.triangulate import FramePoses, Kernel, triangulate_stripes
+from jaxscan.reconstruction.thick_sheet import Looked
 from jaxscan.reconstruction.turns import two_frames, with_ends, with_runs
 from jaxscan.rig import MovingLight, Positions, Rig, played_axes, run_of
-from jaxscan.rig.light import light_at
 from jaxscan.rig.play import Runs
 
 # Each has a buffer of its own.
@@ -122,7 +118,7 @@ class Scanner:
         self._depths_mm = depths_of(self._content) if depths_mm is None else depths_mm
         self._decoders = decoders
         self._at_once = at_once or min(os.cpu_count() or 1, _MOST_AT_ONCE)
-        self._ready: dict[StripeSettings, _Laser] = {}
+        self._ready: dict[StripeSettings, ReadyLaser] = {}
         self.notes: list[str] = []
         self.left_out: dict[str, int] = {}
 
@@ -226,7 +222,7 @@ class Scanner:
 
     def _looked(
         self,
-        ready: "_Laser",
+        ready: ReadyLaser,
         frames: Iterable[tuple[Image, Positions | int]],
         settings: StripeSettings,
         background: Image | None,
@@ -238,7 +234,7 @@ class Scanner:
         for some, axes in frames_of(with_positions(frames), background, self._content.rig.camera.image_size, batch):
             if first is None:
                 first = some.positions[0]
-                check_colours(some.images[: len(some.positions)], settings.color, "frame 0")
+                check_colours(some.photographs, settings.color, "frame 0")
             moved = (some.positions != first).any(axis=0)
             moving = [axis for axis, each in zip(axes, moved, strict=True) if each and not is_detail(axis)]
             check_axes(self._content.rig, moving, axes, "frames:", settings.name)
@@ -252,7 +248,7 @@ class Scanner:
 
     def _images(
         self,
-        laser: "_Laser",
+        laser: ReadyLaser,
         scan: Scan,
         advance: Callable[[int], object],
         watch: LightWatch,
@@ -279,8 +275,11 @@ class Scanner:
         read = frames_of_scan(longer, rig.camera.image_size, self._decoders, kept)
         read = to_close.enter_context(closing(read))
         repeats, hot, shift = RepeatWatch(), HotPixels(scan.laser.columns), BackgroundWatch(longer)
-        # A laser-off photograph has the hot pixels too.
-        seen = _shown(shift.looks_on(read), [repeats.see] if scan.backgrounds else [repeats.see, hot.correct])
+        watchers = [shift.see, lambda some: repeats.see(some.photographs)]
+        if not scan.backgrounds:
+            # A laser-off photograph has the hot pixels too.
+            watchers.append(lambda some: hot.correct(some.photographs))
+        seen = _shown(read, watchers)
         batches = self._batches(longer, seen, halo, _at_most(advance, len(scan.frames) or sys.maxsize))
         found: Iterator[tuple[RangeImage, Stripe | None]]
         if passage is None:
@@ -310,7 +309,7 @@ class Scanner:
         # Merged steps come in batches of any size: they get one here, so that the last of them compiles nothing again.
         return overlapping(merged, halo, halo, FRAMES_AT_ONCE - 2 * halo)
 
-    def _stripes(self, laser: "_Laser", scan: Scan, batches: Iterable[Frames], notes: list[str]) -> Iterator[Looked]:
+    def _stripes(self, laser: ReadyLaser, scan: Scan, batches: Iterable[Frames], notes: list[str]) -> Iterator[Looked]:
         """The stripe of each frame by itself, and its points; `notes` is updated."""
         looked, standing = False, object_stands(self._content.rig, scan)
 
@@ -324,141 +323,10 @@ class Scanner:
                 notes += _miscoloured(scan.laser, some, image)
             yield image[some.inner, :], stripe[some.inner]
 
-    def _laser(self, settings: StripeSettings) -> "_Laser":
+    def _laser(self, settings: StripeSettings) -> ReadyLaser:
         if settings not in self._ready:
-            self._ready[settings] = _Laser(self._content, settings, self._detector, self._choice, self._depths_mm)
+            self._ready[settings] = ReadyLaser(self._content, settings, self._detector, self._choice, self._depths_mm)
         return self._ready[settings]
-
-
-class _Laser:
-    """One laser of a rig, made ready."""
-
-    def __init__(
-        self,
-        content: RigFile,
-        laser: StripeSettings,
-        detector: Detector,
-        choice: Choice,
-        depths_mm: tuple[float, float] | None,
-    ) -> None:
-        rig, name = content.rig, laser.name
-        self._laser = laser
-        self._detector: Detector = detector
-        self._choice: Choice = choice
-        self._kernel = Kernel.create(rig, name)
-        size = rig.camera.image_size
-        self._light = rig.light(name)
-        self._moves = isinstance(self._light, MovingLight)
-        # Of a light that moves by the positions of the axes.
-        self._band: Band | Callable[[Positions], Band] | None = None
-        if depths_mm is not None and self._moves:
-            self._band = swept_band(rig, laser, depths_mm)
-        elif depths_mm is not None:
-            self._band = sheet_band(self._kernel, laser, size, depths_mm)
-        self._map = None
-        if content.covariance is not None:
-            self._map = (SweptMap if self._moves else SigmaMap.create)(rig, name, content.covariance, laser.columns)
-        # What boards have shown the detector's own prediction to be short of. Of what it exceeds there nothing is
-        # taken off: black squares make it cautious, and other surfaces have none.
-        self._ratio = np.float32(max(float(content.fit.get("stripe_sigma_ratio", 1.0)), 1.0))
-        self._of_poses = PoseSigma.of(content)
-        self._rig = rig
-        thick = content.fit.get("sheet_sigma_mm", ())
-        which = rig.lights.index(rig.light(name))
-        self._thickness_mm = float(thick[which]) if which < len(thick) else 0.0
-
-    def range_image(self, frames: Frames, axes: Sequence[str], standing: bool = False) -> tuple[RangeImage, Stripe]:
-        """Find the stripe in some frames and triangulate it; with the colours that the laser-off photographs show.
-
-        Args:
-            frames: photographs.
-            axes: of their positions.
-            standing: whether the object does not move, so that one laser-off photograph shows it for all frames.
-        """
-        count, size = len(frames.positions), len(frames.images)
-        positions = np.pad(frames.positions, ((0, size - count), (0, 0)), mode="edge")
-        q = dict(zip(axes, positions.T, strict=True))
-        stripe = detect_stripe(
-            frames.images,
-            self._laser,
-            frames.backgrounds,
-            detector=self._detector,
-            choice=self._choice,
-            count=count,
-            band=self._band(q) if callable(self._band) else self._band,
-        )
-        # Whatever follows keeps the buffer's size too.
-        position, sigma, strength = (
-            np.pad(x, ((0, size - count), (0, 0)), constant_values=np.nan)
-            for x in (stripe.position, stripe.sigma, stripe.strength)
-        )
-        points = triangulate_stripes(
-            self._kernel_at(q), FramePoses.create(self._rig.motion, q, size), position, self._laser.columns
-        )
-        found = self.with_sigma(position, sigma, strength, points, q)[:count, :]
-        colours = None
-        if frames.backgrounds is not None and (standing or frames.background is None):
-            colours = own_colours(frames.backgrounds, stripe.position, columns=self._laser.columns)
-        width = np.where(stripe.burnt, np.float32(np.nan), stripe.width)
-        return replace(found, light=stripe.light, colours=colours, width=width), stripe
-
-    def _kernel_at(self, q: Positions) -> Kernel:
-        """The kernel with the light as it stands in some frames."""
-        return self._kernel.with_lights(light_at(self._light, q)) if self._moves else self._kernel
-
-    def frames_apart(self, two: Mapping[str, Int[np.ndarray, "2"]] | None) -> int:
-        """How many frames before and behind one show the surface beside the sheet; 0 where it is taken to be thin.
-
-        Args:
-            two: positions of the axes at two frames, one after the other; None where there are none.
-        """
-        if two is None or not self._thickness_mm:
-            return 0
-        return frames_apart(self._rig, self._laser.name, self._thickness_mm, two)
-
-    def middles(self, found: Iterator[Looked], apart: int) -> Iterator[Looked]:
-        """The same in the middle of the sheet, which has a thickness."""
-        if not apart:
-            return found
-        sheet = ThickSheet.create(self._rig, self._laser.name, self._thickness_mm, self._laser.columns)
-
-        def light_of(q: Positions) -> tuple[ThickSheet, Kernel]:
-            there = sheet.with_lights(light_at(self._light, q)) if self._moves else sheet
-            return there, self._kernel_at(q)
-
-        return middles(found, apart, light_of, self._rig.motion)
-
-    def passages(
-        self, geometry: Geometry, width: float, batches: Iterable[Frames], axes: Sequence[str]
-    ) -> Iterator[tuple[RangeImage, None]]:
-        """Find when the light passes over each point, `width` frames long, and where that is."""
-
-        def frames_at(positions: Int[np.ndarray, "frames axes"]) -> FramePoses:
-            return FramePoses.create(self._rig.motion, dict(zip(axes, positions.T, strict=True)), len(positions))
-
-        for found in spacetime_profiles(geometry, width, self._laser, batches, self._detector, self._choice, frames_at):
-            q = dict(zip(axes, found.positions.T, strict=True))
-            yield self.with_sigma(found.position, found.sigma, found.strength, found.points, q), None
-
-    def with_sigma(
-        self,
-        position: Float[np.ndarray, "frames lines"],
-        stripe_sigma: Float[np.ndarray, "frames lines"],
-        strength: Float[np.ndarray, "frames lines"],
-        points: Float[np.ndarray, "frames lines 3"],
-        q: dict[str, Int[np.ndarray, "frames"]],
-    ) -> RangeImage:
-        """Points with what is known of them."""
-        valid: Bool[np.ndarray, "frames lines"] = np.all(np.isfinite(points), axis=-1)
-        sigma = sigma_pixel = np.full(valid.shape, np.nan, np.float32)
-        if self._map is not None:
-            own, moved = self._ratio * stripe_sigma, MovedFrames.create(self._rig, q, len(position))
-            maps = self._map.at(q)
-            sigma, sigma_pixel = (np.asarray(x) for x in point_sigmas(maps, moved, position, points, own))
-            if self._of_poses is not None:
-                sigma = np.hypot(sigma, self._of_poses.along_rays(points, q))
-        points = np.where(valid[..., None], points, np.float32(np.nan))
-        return RangeImage(points, position, strength, sigma, sigma_pixel, valid, q, self._rig.motion, (self._light,))
 
 
 def _miscoloured(laser: StripeSettings, frames: Frames, found: RangeImage) -> list[str]:
@@ -492,11 +360,11 @@ def _at_most(advance: Callable[[int], object], most: int) -> Callable[[int], obj
     return told
 
 
-def _shown(frames: Iterable[Frames], watchers: Sequence[Callable[[np.ndarray], None]]) -> Iterator[Frames]:
-    """The frames, after each of those who watch has seen the photographs that count."""
+def _shown(frames: Iterable[Frames], watchers: Sequence[Callable[[Frames], None]]) -> Iterator[Frames]:
+    """The frames, after each of those who watch has seen them."""
     for some in frames:
         for each in watchers:
-            each(some.images[: len(some.positions)])
+            each(some)
         yield some
 
 

@@ -36,12 +36,12 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxscan.images.stripes.batch import FRAMES_AT_ONCE
-from jaxscan.images.stripes.likelihood import FWHM
+from jaxscan.images.stripes.bell import FWHM
 from jaxscan.images.stripes.stripe import Stripe
 from jaxscan.kept_programs import compiled
 from jaxscan.precision import as_numpy
 from jaxscan.reconstruction.range_image import RangeImage
-from jaxscan.reconstruction.triangulate import FramePoses, Kernel, triangulate_stripes
+from jaxscan.reconstruction.triangulate import FramePoses, Kernel, of_frames, triangulate_stripes
 from jaxscan.rig import Camera, Light, Motion, Positions, Rig
 from jaxscan.rig.light import distance, laser_place, light_at, nameless
 from jaxscan.rig.projection import pixel_rays
@@ -106,8 +106,7 @@ class ThickSheet(eqx.Module):
 
     def with_lights(self, lights: Light) -> "ThickSheet":
         """The same where the light stands elsewhere in each frame: a stack of lights."""
-        of_frames = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf)[:, None], jnp.float32), nameless(lights))
-        return eqx.tree_at(lambda sheet: sheet.light, self, of_frames)
+        return eqx.tree_at(lambda sheet: sheet.light, self, of_frames(lights, 1))
 
 
 LightOf = Callable[[Positions], tuple[ThickSheet, Kernel]]

@@ -17,7 +17,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, DTypeLike, Float
 
 from jaxscan.images.stripes.stripe import u_and_v
 from jaxscan.kept_programs import compiled
@@ -70,11 +70,7 @@ class Kernel(eqx.Module):
         Args:
             lights: a stack of them, one for each frame: each of its numbers is an array.
         """
-
-        def of_frames(leaf: Leaves) -> Float[Array, "frames 3"]:
-            return jnp.asarray(np.repeat(np.asarray(leaf, self.principal.dtype)[:, None], 3, axis=1))
-
-        return eqx.tree_at(lambda kernel: kernel.light, self, jax.tree.map(of_frames, nameless(lights)))
+        return eqx.tree_at(lambda kernel: kernel.light, self, of_frames(lights, 3, self.principal.dtype))
 
     def point(
         self, light: Light, u: Float[Array, ""], v: Float[Array, ""], A: Float[Array, "3 3"], b: Float[Array, "3"]
@@ -93,6 +89,15 @@ class Kernel(eqx.Module):
             return jnp.where(inverse_depth > 0, found, jnp.nan)
 
         return jax.vmap(coordinate)(light, A, b)
+
+
+def of_frames(lights: Light, copies: int, dtype: DTypeLike = "float32") -> Light:
+    """A stack of lights, one for each frame, with each number in some copies: (frames, copies)."""
+
+    def repeated(leaf: Leaves) -> Float[Array, "frames copies"]:
+        return jnp.asarray(np.repeat(np.asarray(leaf, dtype)[:, None], copies, axis=1))
+
+    return jax.tree.map(repeated, nameless(lights))
 
 
 class FramePoses(eqx.Module):

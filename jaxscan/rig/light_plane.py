@@ -11,6 +11,7 @@ from jaxtyping import Array, ArrayLike, Float, Int
 from jaxscan.errors import ObservabilityError
 from jaxscan.geometry.robust_plane import planes_through, refined_plane
 from jaxscan.geometry.rotation import A, namespace
+from jaxscan.phrases import laser_prefix
 from jaxscan.precision import Leaves
 from jaxscan.rig.readable import Readable
 
@@ -51,7 +52,7 @@ class LightPlane(Readable):
         Raises:
             ObservabilityError: the points lie on one line, or on a plane through the camera's centre.
         """
-        which = f'laser "{name}": ' if name else ""
+        which = laser_prefix(name)
         omega = robust_plane(points, view)
         if np.isnan(omega).all():
             raise ObservabilityError(

@@ -4,6 +4,7 @@ from typing import Final
 
 import numpy as np
 
+from jaxscan.phrases import stripe_of
 from jaxscan.rig.light import inverse_depths
 from jaxscan.rig.projection import pixel_rays
 from jaxscan.rig.rig import Rig
@@ -51,8 +52,7 @@ def setting_instead(*, columns: bool) -> str:
 
 def across_note(laser: str, where: str, *, columns: bool) -> str:
     """What is said of a laser whose stripe is looked for across its way, and where."""
-    of = f" of laser {laser}" if laser else ""
     return (
-        f"the stripe{of} runs {way_across(columns=columns)} {where}, where it is badly measured as it is looked for: "
-        f"{setting_instead(columns=columns)}"
+        f"the {stripe_of(laser)} runs {way_across(columns=columns)} {where}, where it is badly measured as it is "
+        f"looked for: {setting_instead(columns=columns)}"
     )

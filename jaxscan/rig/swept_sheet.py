@@ -11,6 +11,7 @@ from jaxtyping import ArrayLike, Float, Int
 
 from jaxscan.errors import ObservabilityError
 from jaxscan.geometry.rotation import A, namespace, vector_to_matrix
+from jaxscan.phrases import laser_prefix
 from jaxscan.precision import Leaf
 from jaxscan.rig.light_plane import LightPlane
 from jaxscan.rig.motion import unit_vector
@@ -106,7 +107,7 @@ class SweptSheet(Readable):
         from scipy.optimize import least_squares  # 0.3 s, and a scan needs no start
 
         del view
-        which = f'laser "{name}": ' if name else ""
+        which = laser_prefix(name)
         steps = np.zeros(len(points)) if positions is None else np.asarray(positions, np.float64)
         if len(np.unique(steps)) < FEWEST_POSITIONS:
             raise ObservabilityError(

@@ -15,8 +15,8 @@ The truth is three kinds of files:
 
 import json
 import zipfile
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -28,10 +28,10 @@ from jaxscan.errors import InputError
 from jaxscan.files.axes import STAGE
 from jaxscan.files.rig_file import RigFile, write_rig
 from jaxscan.files.scan import SCAN_FILE, Scan, write_scan
-from jaxscan.files.session import SESSION_FILE, Session, StageImages, TurntableImages, Views, write_session
+from jaxscan.files.session import SESSION_FILE, Session, Views, write_session
+from jaxscan.files.session_axes import StageImages, TurntableImages
 from jaxscan.geometry import Pose
-from jaxscan.images import StripeSettings, write_image
-from jaxscan.images.jpeg import write_jpeg
+from jaxscan.images import StripeSettings
 from jaxscan.npy import read_npz
 from jaxscan.precision import as_numpy, float64
 from jaxscan.rig import Rig
@@ -39,22 +39,19 @@ from jaxscan.simulation import rig_2003
 from jaxscan.simulation.drawn_stage import DrawnStage
 from jaxscan.simulation.hand import STILL, Hand
 from jaxscan.simulation.light import Lighting, Sensor
+from jaxscan.simulation.photographs import JPEG_QUALITY, Advance, Photographer, clear_for, make_folders
 from jaxscan.simulation.profile import true_profile
-from jaxscan.simulation.render import render
 from jaxscan.simulation.rig_2003 import BOARD, SCAN_FRAMES, STEPS_APART
 from jaxscan.simulation.scene import Scene
 
 TRUE_RIG: Final = "rig.json"
 TRUE_SESSION: Final = "session.json"
-JPEG_QUALITY: Final = 95
 
 # Second number of the seed: photographs of different kinds share no noise.
 _BOARD_NOISE, _STAGE_NOISE, _SCAN_NOISE, _STRIPE_NOISE = range(4)
 # Beyond those of any number of lasers.
 _TURNTABLE_NOISE = 100
 _DARK_NOISE = 200
-
-Advance = Callable[[int], object]
 
 
 @dataclass(frozen=True)
@@ -147,34 +144,21 @@ def simulate_session(
     boards, stage = rig_2003.board_poses(rig, seed, views), rig_2003.stage_pose(rig, seed)
     steps = rig_2003.stage_steps(rig, rig_2003.STAGE_VIEWS if stage_views is None else stage_views, steps_apart)
     come = {STAGE: steps, **rig_2003.stage_runs(rig, steps)}
-    make_folders(
-        folder,
-        "boards",
-        "stage",
-        *(["stripes"] if separate else []),
-        *(["turntable"] if "turntable" in rig.axes() else []),
-    )
-    (folder / SESSION_FILE).unlink(missing_ok=True)
-
-    def shoot(name: str, scene: Scene | Sequence[Scene], kind: int, i: int, **how: Any) -> Path:
-        image = render(rig, scene, lighting=lighting, sensor=sensor, seed=(2003, seed, kind, i), **how)
-        path = folder / f"{name}{ending}"
-        write_photograph(path, image, quality)
-        advance(1)
-        return path
-
+    inner = [*(["stripes"] if separate else []), *(["turntable"] if "turntable" in rig.axes() else [])]
+    clear_for(SESSION_FILE, folder, "boards", "stage", *inner)
+    shoot = Photographer(folder, rig, seed, lighting, sensor, ending, quality, advance).shoot
     board_images: list[Path] = []
     stripe_images: dict[str, list[Path | None]] = {laser.name: [] for laser in rig.lights}
     for i in range(views):
         pose = Pose(np.asarray(boards.rotation[i]), np.asarray(boards.translation[i]))
         exposures = rig_2003.held(rig, hand, pose, (seed, i), 1 + (len(rig.lights) if separate else 0), bend_mm)
-        board_images.append(shoot(f"boards/{i:02d}", exposures[0], _BOARD_NOISE, i, laser=None if separate else 0))
+        board_images.append(shoot(f"boards/{i:02d}", exposures[0], (_BOARD_NOISE, i), laser=None if separate else 0))
         for n, laser in enumerate(rig.lights if separate else ()):
             name = f"stripes/{laser.name or 'stripe'}-{i:02d}"
-            stripe_images[laser.name].append(shoot(name, exposures[1 + n], _STRIPE_NOISE + n, i, laser=n))
+            stripe_images[laser.name].append(shoot(name, exposures[1 + n], (_STRIPE_NOISE + n, i), laser=n))
     scene = rig_2003.board_scene(np.asarray(stage.rotation), np.asarray(stage.translation), bend_mm)
     stage_images = [
-        shoot(f"stage/{i:02d}", scene, _STAGE_NOISE, i, q={name: each[i] for name, each in come.items()})
+        shoot(f"stage/{i:02d}", scene, (_STAGE_NOISE, i), q={name: each[i] for name, each in come.items()})
         for i in range(len(steps))
     ]
     leaning = rig_2003.turntable_pose(rig, seed) if "turntable" in rig.axes() else None
@@ -182,7 +166,7 @@ def simulate_session(
     on_stage, turned = rig_2003.turntable_stage_step(rig) if leaning else 0, []
     for i, pose in enumerate(rig_2003.turned_boards(rig, leaning, np.array(turns)) if leaning else ()):
         scene = rig_2003.board_scene(np.asarray(pose.rotation), np.asarray(pose.translation), bend_mm)
-        turned.append(shoot(f"turntable/{i:02d}", scene, _TURNTABLE_NOISE, i, q={STAGE: on_stage}))
+        turned.append(shoot(f"turntable/{i:02d}", scene, (_TURNTABLE_NOISE, i), q={STAGE: on_stage}))
     stripes = {name: tuple(paths) for name, paths in stripe_images.items()} if separate and rig.lights else None
     write_session(
         Session(
@@ -238,24 +222,21 @@ def simulate_scan(
     Raises:
         InputError: something cannot be written.
     """
-    make_folders(folder, "frames", *(["dark"] if laser_off else []))
-    (folder / SCAN_FILE).unlink(missing_ok=True)
+    clear_for(SCAN_FILE, folder, "frames", *(["dark"] if laser_off else []))
+    photographer = Photographer(folder, rig, seed, lighting, sensor, ending, quality, advance)
+    # Those without the laser do not count.
+    in_the_dark = replace(photographer, advance=lambda count: None)
     given = {STAGE: range(0, steps_apart * frames, steps_apart)} if axes is None else axes
     positions = {axis: tuple(int(n) for n in steps) for axis, steps in given.items()}
     come = positions | rig_2003.stage_runs(rig, positions.get(STAGE, ()))
     paths, dark, profiles = [], [], []
     for i, place in enumerate(zip(*come.values(), strict=True)):
         q = dict(zip(come, place, strict=True))
-        seeds = (2003, seed, _SCAN_NOISE, i, *([laser] if laser else []))
-        image = render(rig, scene, q=q, laser=laser, lighting=lighting, sensor=sensor, seed=seeds)
-        paths.append(folder / "frames" / f"{i:03d}{ending}")
-        write_photograph(paths[-1], image, quality)
+        noise = (_SCAN_NOISE, i, *([laser] if laser else []))
+        paths.append(photographer.shoot(f"frames/{i:03d}", scene, noise, q=q, laser=laser))
         if laser_off:
-            image = render(rig, scene, q=q, lighting=lighting, sensor=sensor, seed=(2003, seed, _DARK_NOISE, i))
-            dark.append(folder / "dark" / f"{i:03d}{ending}")
-            write_photograph(dark[-1], image, quality)
+            dark.append(in_the_dark.shoot(f"dark/{i:03d}", scene, (_DARK_NOISE, i), q=q))
         profiles.append(true_profile(rig, scene, q, laser=laser, lighting=lighting))
-        advance(1)
     settings = StripeSettings(name=rig.lights[laser].name)
     write_scan(
         Scan(folder / SCAN_FILE, settings, frames=tuple(paths), axes=positions, backgrounds=tuple(dark), name=name)
@@ -352,23 +333,6 @@ def read_truth_file(path: Path, which: str = "") -> ScanTruth:
     return ScanTruth(arrays, position, points, which)
 
 
-def write_photograph(path: Path, image: np.ndarray, quality: int) -> None:
-    """Write a photograph, with this quality if it is a JPEG."""
-    if path.suffix == ".jpg":
-        write_jpeg(path, image, quality)
-    else:
-        write_image(path, image)
-
-
 def _pose_values(pose: Pose, i: Any) -> dict[str, list[float]]:
     vectors = np.asarray(pose.rotation), np.asarray(pose.translation)
     return {key: vector[i].tolist() for key, vector in zip(("rotation", "translation"), vectors, strict=True)}
-
-
-def make_folders(folder: Path, *inner: str) -> None:
-    """Make folders."""
-    try:
-        for name in ("", *inner):
-            (folder / name).mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be made ({error.strerror}): choose another folder") from error

@@ -20,17 +20,10 @@ from jaxscan.images import StripeSettings
 from jaxscan.precision import as_numpy, float64
 from jaxscan.rig import CARRIED_BY, HeadPoses, ObjectPoses, Rig, positions_of
 from jaxscan.simulation import rig_2003
-from jaxscan.simulation.folders import (
-    JPEG_QUALITY,
-    Advance,
-    ScanTruth,
-    SessionTruth,
-    make_folders,
-    write_photograph,
-)
+from jaxscan.simulation.folders import ScanTruth, SessionTruth
 from jaxscan.simulation.light import Lighting, Sensor
+from jaxscan.simulation.photographs import JPEG_QUALITY, Advance, Photographer, clear_for
 from jaxscan.simulation.profile import true_profile
-from jaxscan.simulation.render import render
 from jaxscan.simulation.rig_2003 import BOARD
 from jaxscan.simulation.scene import Scene
 
@@ -48,6 +41,8 @@ _BOARD: Final = {"head": ((0.0, 3.0, 0.1), (520.0, 40.0, 15.0)), "object": ((0.1
 _ASKEW, _ASIDE = 0.2, 20.0
 # What is scanned is turned this way and that while it passes the sheet, rad.
 _SWAY: Final = 0.12
+# Photographs of different kinds share no noise.
+_BOARD_NOISE, _SCAN_NOISE = 300, 400
 _KINDS: Final = ("camera", "board", "object", "given", "scan")
 
 
@@ -118,18 +113,13 @@ def simulate_robot_session(
     Raises:
         InputError: something cannot be written.
     """
-    make_folders(folder, "boards", "poses")
-    (folder / SESSION_FILE).unlink(missing_ok=True)
-    boards = rig_2003.board_poses(rig, seed, views + posed)
-    at = Pose(np.asarray(boards.rotation, np.float64), np.asarray(boards.translation, np.float64))
-    paths = []
+    clear_for(SESSION_FILE, folder, "boards", "poses")
+    shoot = Photographer(folder, rig, seed, lighting, sensor, ending, quality, advance).shoot
+    at, paths = rig_2003.board_poses(rig, seed, views + posed), []
     for i in range(views + posed):
-        scene = rig_2003.board_scene(at.rotation[i], at.translation[i])
-        image = render(rig, scene, laser=0, lighting=lighting, sensor=sensor, seed=(2003, seed, 300, i))
         name = f"boards/{i:02d}" if i < views else f"poses/{i - views:02d}"
-        paths.append(folder / f"{name}{ending}")
-        write_photograph(paths[-1], image, quality)
-        advance(1)
+        scene = rig_2003.board_scene(at.rotation[i], at.translation[i])
+        paths.append(shoot(name, scene, (_BOARD_NOISE, i), laser=0))
     mounted = _near(*_BOARD[robot.moves], _random(seed, "board"))
     last = Pose(at.rotation[views:], at.translation[views:])
     true = robot.kind.carry(_motion(rig).to_camera().inverse() @ last @ mounted.inverse())
@@ -184,19 +174,16 @@ def simulate_robot_scan(
     Raises:
         InputError: something cannot be written.
     """
-    make_folders(folder, "frames")
-    (folder / SCAN_FILE).unlink(missing_ok=True)
+    clear_for(SCAN_FILE, folder, "frames")
+    shoot = Photographer(folder, rig, seed, lighting, sensor, ending, quality, advance).shoot
     first, true = _passing(rig, robot, travel, middle, seed)
     back = first.inverse()
     scene = replace(scene, bodies=tuple(body.moved(back.matrix(), back.translation) for body in scene.bodies))
     at, paths, profiles = positions_of(true), [], []
     for i in range(len(travel)):
         q: dict[str, Any] = {axis: n[i] for axis, n in at.items()}
-        image = render(rig, scene, q=q, laser=0, lighting=lighting, sensor=sensor, seed=(2003, seed, 400, i))
-        paths.append(folder / "frames" / f"{i:03d}{ending}")
-        write_photograph(paths[-1], image, quality)
+        paths.append(shoot(f"frames/{i:03d}", scene, (_SCAN_NOISE, i), q=q, laser=0))
         profiles.append(true_profile(rig, scene, q, laser=0, lighting=lighting))
-        advance(1)
     given, table = robot.given(true, _random(seed, "scan")), folder / _TABLE
     write_pose_table(table, [path.name for path in paths], given)
     axes = {axis: tuple(n.tolist()) for axis, n in positions_of(given).items()}
@@ -234,4 +221,4 @@ def _near(
 
 
 def _random(seed: int, what: str) -> np.random.Generator:
-    return np.random.default_rng([2003, seed, 300 + _KINDS.index(what)])
+    return np.random.default_rng([2003, seed, _BOARD_NOISE + _KINDS.index(what)])

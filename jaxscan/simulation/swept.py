@@ -11,15 +11,15 @@ from jaxtyping import Int
 
 from jaxscan.files.session import SESSION_FILE, Session, Views, write_session
 from jaxscan.files.session_sweeps import AXIS
-from jaxscan.geometry import Pose
 from jaxscan.images import StripeSettings
 from jaxscan.precision import as_numpy, float64
 from jaxscan.rig import Rig, SweptSheet
 from jaxscan.rig.light import laser_place
 from jaxscan.simulation import rig_2003
-from jaxscan.simulation.folders import JPEG_QUALITY, Advance, SessionTruth, make_folders, write_photograph
+from jaxscan.simulation.folders import SessionTruth
 from jaxscan.simulation.light import Lighting, Sensor
-from jaxscan.simulation.render import plane_of, render
+from jaxscan.simulation.photographs import JPEG_QUALITY, Advance, Photographer, clear_for
+from jaxscan.simulation.render import plane_of
 from jaxscan.simulation.rig_2003 import BOARD
 from jaxscan.simulation.scene import Scene
 
@@ -90,24 +90,17 @@ def simulate_swept_session(
     Raises:
         InputError: something cannot be written.
     """
-    make_folders(folder, "boards", "stripes")
-    (folder / SESSION_FILE).unlink(missing_ok=True)
-    boards = rig_2003.board_poses(rig, seed, views)
-    at = Pose(np.asarray(boards.rotation, np.float64), np.asarray(boards.translation, np.float64))
-    steps, paths, sweeps = sweep_of(stripes), [], []
+    clear_for(SESSION_FILE, folder, "boards", "stripes")
+    shoot = Photographer(folder, rig, seed, lighting, sensor, ending, quality, advance).shoot
+    at, steps = rig_2003.board_poses(rig, seed, views), sweep_of(stripes).tolist()
+    paths, sweeps = [], []
     for i in range(views):
         scene = rig_2003.board_scene(at.rotation[i], at.translation[i])
-        image = render(rig, scene, lighting=lighting, sensor=sensor, seed=(2003, seed, _NOISE + 1, i))
-        paths.append(folder / "boards" / f"{i:02d}{ending}")
-        write_photograph(paths[-1], image, quality)
-        advance(1)
-        lit = []
-        for k, step in enumerate(steps.tolist()):
-            noise = (2003, seed, _NOISE + 2, i, k)
-            image = render(rig, scene, q={AXIS: step}, laser=0, lighting=lighting, sensor=sensor, seed=noise)
-            lit.append((step, folder / "stripes" / f"{i:02d}-{k:02d}{ending}"))
-            write_photograph(lit[-1][1], image, quality)
-            advance(1)
+        paths.append(shoot(f"boards/{i:02d}", scene, (_NOISE + 1, i)))
+        lit = [
+            (step, shoot(f"stripes/{i:02d}-{k:02d}", scene, (_NOISE + 2, i, k), q={AXIS: step}, laser=0))
+            for k, step in enumerate(steps)
+        ]
         sweeps.append(tuple(lit))
     name = rig.lights[0].name
     write_session(

@@ -25,7 +25,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxscan.errors import InputError
-from jaxscan.images.stripes.likelihood import FWHM
+from jaxscan.images.stripes.bell import FWHM
 from jaxscan.reconstruction import RangeImage
 from jaxscan.rig.light import laser_place
 from jaxscan.surface.links import Links, links, sampling

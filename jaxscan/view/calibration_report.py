@@ -13,6 +13,7 @@ from jaxscan.reconstruction.working_volume import WorkingVolume, working_volumes
 from jaxscan.rig import Covariance
 from jaxscan.rig.speckle_limit import Optics
 from jaxscan.view import calibration_sections as sections
+from jaxscan.view import motion_sections
 from jaxscan.view.advice import advise
 from jaxscan.view.report import Box, Report, Section
 from jaxscan.view.verdict import Verdict, judge, limits
@@ -75,9 +76,9 @@ def compose(
             sections.residuals(calibration, diagnostics),
             *([light] if (light := sections.light(calibration, volumes, optics)) else []),
             *([sections.stripes(diagnostics)] if diagnostics.stripes else []),
-            *([sections.stage(calibration, diagnostics)] if diagnostics.stages else []),
-            *([sections.turntable(calibration, diagnostics)] if diagnostics.turntables else []),
-            *([sections.hand(calibration.hand)] if calibration.hand else []),
+            *([motion_sections.stage(calibration, diagnostics)] if diagnostics.stages else []),
+            *([motion_sections.turntable(calibration, diagnostics)] if diagnostics.turntables else []),
+            *([motion_sections.hand(calibration.hand)] if calibration.hand else []),
             sections.apart(diagnostics),
             *([sections.lens(diagnostics.ladder)] if diagnostics.ladder else []),
             sections.coverage(calibration, diagnostics),

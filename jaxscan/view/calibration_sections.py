@@ -5,16 +5,16 @@ import numpy as np
 
 from jaxscan.calibration import Calibration
 from jaxscan.calibration.diagnostics import Diagnostics, Ladder
-from jaxscan.calibration.hand import Hand
 from jaxscan.calibration.on_board import stripe_points_in_space
 from jaxscan.files.rig_checks import image_rays
 from jaxscan.images.light import Light
+from jaxscan.phrases import laser_called, of_laser
 from jaxscan.reconstruction.working_volume import WorkingVolume, volume_rays
 from jaxscan.rig import BowedSheet
 from jaxscan.rig.board_shape import shape_in_words
 from jaxscan.rig.rig import parameter_names
 from jaxscan.rig.speckle_limit import Optics, limit_of
-from jaxscan.rig.summary import HALF_WIDTH_MM, axis_summary, format_path, light_summary
+from jaxscan.rig.summary import HALF_WIDTH_MM, light_summary
 from jaxscan.view import calibration_plots as plots
 from jaxscan.view.report import Section, Table, draw
 
@@ -72,10 +72,9 @@ def _shapes(calibration: Calibration) -> list[str]:
         said.append(f"The sensor is tilted by {degrees:.2f}° against the lens.")
     for light in light_summary(calibration.rig, covariance, image_rays(camera)):
         if "curved_mm" in light:
-            which = f' of laser "{light["name"]}"' if light["name"] else ""
             error = "" if light["curved_mm_sigma"] is None else f" ± {light['curved_mm_sigma']:.2g}"
             said.append(
-                f"The sheet of light{which} is curved by {light['curved_mm']:.3f}{error} mm over "
+                f"The sheet of light{of_laser(light['name'])} is curved by {light['curved_mm']:.3f}{error} mm over "
                 f"{2 * HALF_WIDTH_MM:g} mm in the middle of the image."
             )
     shape = shape_in_words(calibration.shape_facts())
@@ -84,7 +83,6 @@ def _shapes(calibration: Calibration) -> list[str]:
 
 def volume(volume: WorkingVolume) -> Section:
     """σ over the working volume."""
-    name = f' of laser "{volume.laser}"' if volume.laser else ""
     caption = (
         "σ of a point along its ray over the part of the light sheet that the camera sees, between the nearest and "
         "the farthest stripe point of the calibration. Right: how much of it is the rig's (the same for all points "
@@ -92,7 +90,7 @@ def volume(volume: WorkingVolume) -> Section:
         "range σ grows."
     )
     picture = draw(f"working-volume{volume.laser and '-' + volume.laser}", caption, plots.volume(volume))
-    return Section(f"How well a point is known{name}", figures=(picture,))
+    return Section(f"How well a point is known{of_laser(volume.laser)}", figures=(picture,))
 
 
 def photographs(calibration: Calibration, diagnostics: Diagnostics) -> Section:
@@ -185,8 +183,7 @@ def light(calibration: Calibration, volumes: tuple[WorkingVolume, ...], optics: 
     for i, name in enumerate(calibration.observations.lasers):
         of_laser = [np.asarray(stripe.light, np.float32) for stripe in seen if stripe.laser == i]
         if (found := Light.of(of_laser)) is not None:
-            laser = f'laser "{name}"' if name else "the laser"
-            said.append(f"In photographs of {laser}, in the median: {found.in_words()}.")
+            said.append(f"In photographs of {laser_called(name)}, in the median: {found.in_words()}.")
             if optics is not None and name in by_laser:
                 said.append(_limit(calibration, by_laser[name], optics, found.speckle_contrast))
     return Section("The light", paragraphs=tuple(said)) if said else None
@@ -234,105 +231,6 @@ def stripes(diagnostics: Diagnostics) -> Section:
             Table("Distance from the sheet of light in mm; bend: running mean from peak to valley", columns, rows),
         ),
         figures=(draw("stripes", caption, plots.stripes(diagnostics.stripes)),),
-    )
-
-
-def stage(calibration: Calibration, diagnostics: Diagnostics) -> Section:
-    """Which way it goes, step error and straightness."""
-    rows = []
-    words = tuple(
-        f"With rising step counts what stands on the {summary['axis']} moves {summary['way']}, as the camera sees it, "
-        f"by {summary['mm_per_1000_steps']:.5g} mm in 1000 steps. If it really moves the other way, the steps in "
-        "session.toml run backwards: nothing else shows that."
-        + "".join(f" It is {line}." for line in format_path(summary))
-        for summary in axis_summary(calibration.rig, calibration.covariance)
-        if "mm_per_1000_steps" in summary
-    )
-    for s in diagnostics.stages:
-        along = 1000 * np.sqrt((s.error_mm[:, 0] ** 2).mean())
-        across = 1000 * np.sqrt((s.error_mm[:, 1:] ** 2).mean(axis=0))
-        turned = np.abs(s.rotation_mrad).max()
-        rows.append(
-            (
-                f"{s.names[0]} … {s.names[-1]}",
-                f"{np.ptp(s.travel_mm):.2f}",
-                f"{along:.1f}",
-                f"{np.sqrt(s.chi2_along):.2f}",
-                f"{across[0]:.1f}, {across[1]:.1f}",
-                f"{np.sqrt(s.chi2_across):.2f}",
-                f"{turned:.2f} ± {s.rotation_sigma_mrad.flat[np.abs(s.rotation_mrad).argmax()]:.2f}",
-            )
-        )
-    columns = (
-        "photographs",
-        "travel / mm",
-        "step error / µm RMS",
-        "in σ",
-        "off the line / µm RMS",
-        "in σ",
-        "largest turn / mrad",
-    )
-    return Section(
-        "The stage",
-        paragraphs=words,
-        tables=(Table("Where the board really stood against one line", columns, tuple(rows)),),
-        figures=(
-            draw(
-                "stage",
-                "Step error along the travel and distance from the straight line, with the σ that the corners leave. "
-                "A period is the lead screw's, a jump a missed step, a bow the guide's.",
-                plots.stage(diagnostics.stages),
-            ),
-        ),
-    )
-
-
-def turntable(calibration: Calibration, diagnostics: Diagnostics) -> Section:
-    """Axis and angle with their σ, errors of the angle and wobble."""
-    rows = []
-    for t in diagnostics.turntables:
-        turn, wobble = t.turn_error_deg[:, 0], t.turn_error_deg[:, 1:]
-        rows.append(
-            (
-                f"{t.names[0]} … {t.names[-1]}",
-                f"{np.ptp(t.turn_deg):.2f}",
-                f"{_rms(turn):.4f}",
-                f"{np.sqrt(t.chi2_turn):.2f}",
-                f"{_rms(wobble):.4f}",
-                f"{1000 * _rms(t.error_mm[:, 0]):.1f}, {1000 * _rms(t.error_mm[:, 1:]):.1f}",
-                f"{np.sqrt(t.chi2_wobble):.2f}",
-            )
-        )
-    columns = (
-        "photographs",
-        "turn / °",
-        "angle / ° RMS",
-        "in σ",
-        "tilt of the axis / ° RMS",
-        "along the axis, across it / µm RMS",
-        "in σ",
-    )
-    words = tuple(
-        f"With rising step counts the {summary['axis']} turns {summary['way']} as the camera sees it, by "
-        f"{summary['degrees_per_step']:.7g} ± {summary['degrees_per_step_sigma']:.2g}° a step, about the axis "
-        f"({_triple(summary['axis_direction'], 5)}) ± {summary['axis_sigma_deg']:.2g}° through "
-        f"({_triple(summary['through_mm'], 3)}) ± {summary['through_sigma_mm']:.2g} mm. "
-        "If it really turns the other way, the steps in session.toml run backwards: nothing else shows that."
-        for summary in axis_summary(calibration.rig, calibration.covariance)
-        if "degrees_per_step" in summary
-    )
-    return Section(
-        "The turntable",
-        paragraphs=words,
-        tables=(Table("Where the board really stood against one turn about one axis", columns, tuple(rows)),),
-        figures=(
-            draw(
-                "turntable",
-                "Errors of the angle, and tilt of the axis, against the turn, with the σ that the corners leave. One "
-                "period in a turn is an eccentric or tilted table, many are the gear's, a jump is a missed step.",
-                plots.turntable(diagnostics.turntables),
-            ),
-        ),
     )
 
 
@@ -418,26 +316,6 @@ def coverage(calibration: Calibration, diagnostics: Diagnostics) -> Section:
     )
 
 
-def hand(hand: Hand) -> Section:
-    """Each given pose, and how far it is from where the photograph shows the hand."""
-    mm, degrees = hand.how_far_off
-    rows = [
-        (name, f"{mm[i]:.3f}", f"{degrees[i]:.3f}", "yes" if hand.kept[i] else "no")
-        for i, name in enumerate(hand.names)
-    ]
-    order = np.argsort(-mm)
-    columns = ("photograph", "position off / mm", "turn off / °", "used")
-    return Section(
-        "Given poses",
-        paragraphs=(
-            f"{hand.note()[0].upper()}{hand.note()[1:]}. Taken as σ: {hand.sigma_mm:.2g} mm and {hand.sigma_deg:.2g}°. "
-            "The errors are the robot's, of the hand in the base's frame; those of the photographs are smaller. A pose "
-            "that stands out was read at another moment, or belongs to another photograph.",
-        ),
-        tables=(Table("Given less found, the farthest first", columns, tuple(rows[i] for i in order)),),
-    )
-
-
 def left_out(calibration: Calibration) -> Section:
     """What was not used, and notes."""
     lines = (*calibration.notes, *calibration.left_out)
@@ -459,14 +337,6 @@ def _points_in_space(calibration: Calibration) -> list[np.ndarray]:
         stripe_points_in_space(calibration.observations, camera, poses, i, bent)[0]
         for i in range(len(calibration.rig.lights))
     ]
-
-
-def _triple(values: tuple[float, ...], digits: int) -> str:
-    return ", ".join(f"{x:.{digits}f}" for x in values)
-
-
-def _rms(values: np.ndarray) -> float:
-    return float(np.sqrt((values**2).mean()))
 
 
 def _px(value: float) -> str:

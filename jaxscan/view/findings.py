@@ -10,8 +10,9 @@ from jaxscan.calibration.diagnostics import Diagnostics, Suspect
 from jaxscan.calibration.diagnostics.halves import Agreement
 from jaxscan.calibration.diagnostics.suspects import LEAST_PX, REJECTED
 from jaxscan.calibration.hand import Hand
+from jaxscan.phrases import first_few, of_laser
 from jaxscan.reconstruction.working_volume import WorkingVolume
-from jaxscan.view.model_findings import listed, model_findings
+from jaxscan.view.model_findings import model_findings
 from jaxscan.view.report import Box
 from jaxscan.view.stage_findings import mixed_names, mixed_up, off_their_places
 
@@ -228,7 +229,7 @@ def _worse(diagnostics: Diagnostics) -> list[Box]:
     ]
     if not worse:
         return []
-    names = listed([f"{p.name} ({p.corner_rms_px:.2f} px)" for p in worse])
+    names = first_few([f"{p.name} ({p.corner_rms_px:.2f} px)" for p in worse])
     return [
         Box(
             "care",
@@ -272,12 +273,11 @@ def thin(calibration: Calibration, diagnostics: Diagnostics) -> list[Box]:
     for stripe in cover.stripes:
         near, far = stripe.depths_mm
         if stripe.views < _STRIPE_VIEWS or far < _DEPTH_RATIO * near:
-            which = f'of laser "{stripe.laser}" ' if stripe.laser else ""
             boxes.append(
                 Box(
                     "care",
-                    f"The light plane {which}rests on {stripe.views} boards with stripes between {near:.0f} and "
-                    f"{far:.0f} mm.",
+                    f"The light plane{of_laser(stripe.laser)} rests on {stripe.views} boards with stripes between "
+                    f"{near:.0f} and {far:.0f} mm.",
                     "Hold the board at the nearest and at the farthest place that will be scanned, with the stripe "
                     "across it.",
                 )

@@ -10,6 +10,7 @@ import numpy as np
 
 from jaxscan.calibration import Calibration
 from jaxscan.calibration.diagnostics import Diagnostics, diagnose
+from jaxscan.phrases import laser_prefix
 from jaxscan.reconstruction.working_volume import WorkingVolume, working_volumes
 from jaxscan.view.advice import Advice, advise_unplanned, poses_limit
 from jaxscan.view.findings import camera_is_held, findings, thin
@@ -148,11 +149,13 @@ def limits(calibration: Calibration, diagnostics: Diagnostics, volumes: tuple[Wo
             "beyond that, only a more exact arm helps."
         )
     for volume in volumes:
-        name = f'laser "{volume.laser}": ' if volume.laser else ""
         rig = 100 * volume.rig_share
         known = volume.if_known_mm
         part, other = sorted(known, key=lambda key: known[key])
-        whose = f"{name}{rig:.0f} % of a point's variance is the rig's, {100 - rig:.0f} % the pixel's own."
+        whose = (
+            f"{laser_prefix(volume.laser)}{rig:.0f} % of a point's variance is the rig's, {100 - rig:.0f} % the "
+            "pixel's own."
+        )
         if _mm(known[part]) == _mm(volume.median_mm):
             words.append(f"{whose} The rig does not limit it.")
         else:

@@ -8,7 +8,8 @@ import pytest
 
 from jaxscan.calibration import Calibration
 from jaxscan.calibration.known_scale import scale_note
-from jaxscan.files.session import Session, StageImages, Views
+from jaxscan.files.session import Session, Views
+from jaxscan.files.session_axes import StageImages
 from jaxscan.images import Board
 from jaxscan.view.verdict import verdict
 

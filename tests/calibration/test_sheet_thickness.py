@@ -7,7 +7,7 @@ import pytest
 from jaxscan.calibration import Observations, StripePoints, View
 from jaxscan.calibration.sheet_thickness import sheet_sigma_mm
 from jaxscan.geometry import Pose
-from jaxscan.images.stripes.likelihood import FWHM
+from jaxscan.images.stripes.bell import FWHM
 from jaxscan.precision import as_numpy, float64
 from jaxscan.rig import Camera, LightPlane, Linear, Rig
 from tests.calibration.synthetic import BOARD, FOCAL, IMAGE_SIZE, K1, OMEGA, PER_STEP, PRINCIPAL, board_pose, stripe_on

@@ -160,10 +160,10 @@ def test_halves_agree_in_the_numbers_that_a_turntable_has(found):
 
 def test_in_the_report_and_in_the_rig_file(tmp_path, found):
     pytest.importorskip("matplotlib", reason="the extra plots is not installed")
-    from jaxscan.view import calibration_sections
+    from jaxscan.view import motion_sections
 
     errors = SimpleNamespace(turntables=turntable_errors(found))
-    section = calibration_sections.turntable(found, errors)  # pyright: ignore[reportArgumentType]
+    section = motion_sections.turntable(found, errors)  # pyright: ignore[reportArgumentType]
     assert "anticlockwise as the camera sees it" in section.paragraphs[0]
     assert section.tables[0].rows[0][0] == "turntable-0 … turntable-7"
     write_rig(tmp_path / "rig.json", found.rig_file())

@@ -111,7 +111,7 @@ def test_boards_held_by_hand_and_a_laser_of_two_lobes(
         shot.append((moments, lighting.laser_profile, lighting.sheet_sigma_mm))
         return np.zeros((480, 640, 3), np.uint8)
 
-    monkeypatch.setattr("jaxscan.simulation.folders.render", render)
+    monkeypatch.setattr("jaxscan.simulation.photographs.render", render)
     words = "--stripes", "--shake-mm", "0.5", "--laser-profile", "two-lobed", "--sheet-mm", "0.6"
     simulate.run(parse(str(tmp_path / "world"), *words))
     assert {(kind, sigma) for _, kind, sigma in shot} == {("two-lobed", 0.6)}

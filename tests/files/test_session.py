@@ -12,7 +12,8 @@ from jaxscan.cli.estimate_options import Estimate, add_estimate_arguments, estim
 from jaxscan.cli.one_rig import stage_motion
 from jaxscan.cli.solve_sessions import solve_sessions
 from jaxscan.errors import InputError
-from jaxscan.files.session import CameraSettings, Session, StageImages, Views, read_session, write_session
+from jaxscan.files.session import CameraSettings, Session, Views, read_session, write_session
+from jaxscan.files.session_axes import StageImages
 from jaxscan.images import Board, StripeSettings
 from tests.other_lenses import Division, registered
 

@@ -6,7 +6,8 @@ import pytest
 
 from jaxscan.calibration.observe import _in_text_order
 from jaxscan.files.scan import Scan
-from jaxscan.files.session import Session, StageImages, Views
+from jaxscan.files.session import Session, Views
+from jaxscan.files.session_axes import StageImages
 from jaxscan.files.text_order import text_order_note
 from jaxscan.images import Board, StripeSettings
 from jaxscan.reconstruction.scan_notes import order_notes

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from jaxtyping import Float
 
-from jaxscan.images.stripes.likelihood import FWHM
+from jaxscan.images.stripes.bell import FWHM
 from jaxscan.images.stripes.stripe import Stripe, u_and_v
 from jaxscan.precision import as_numpy, float64
 from jaxscan.reconstruction import RangeImage

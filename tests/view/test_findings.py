@@ -10,10 +10,10 @@ import pytest
 from jaxscan.calibration import calibrate
 from jaxscan.calibration.diagnostics import Diagnostics, Ladder, diagnose
 from jaxscan.calibration.diagnostics.halves import Agreement
-from jaxscan.calibration.diagnostics.sheet_curves import SheetCurve
 from jaxscan.calibration.diagnostics.stripe_shapes import shape
 from jaxscan.calibration.diagnostics.suspects import Suspect
 from jaxscan.calibration.flatness import BoardFlatness
+from jaxscan.calibration.sheet_curve import SheetCurve
 from jaxscan.calibration.stage_shape import StageShape
 from jaxscan.view.calibration_report import compose
 from jaxscan.view.findings import findings

@@ -23,11 +23,12 @@ from jaxscan.calibration.bends import Reduced, by_pose, deviance, likeliest_bend
 from jaxscan.calibration.blocks import photographs_in_blocks
 from jaxscan.calibration.correlation import weights_anew
 from jaxscan.calibration.diagnostics.lens_rows import lens_rows, unsought_terms
-from jaxscan.calibration.diagnostics.sheet_curves import SheetCurve, bow_rows
+from jaxscan.calibration.diagnostics.sheet_curves import bow_rows
 from jaxscan.calibration.flatness import BY_CHANCE, BoardFlatness
 from jaxscan.calibration.places import places_of_residuals
 from jaxscan.calibration.result import Calibration
 from jaxscan.calibration.rounds import Refined
+from jaxscan.calibration.sheet_curve import SheetCurve
 from jaxscan.geometry import vector_to_matrix
 from jaxscan.rig.board_shape import BENDS, LEAST_BEND_MM, N_TERMS, basis, bent_by, half_diagonal_of
 

@@ -9,8 +9,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from jaxscan.calibration.diagnostics.sheet_curves import SheetCurve
 from jaxscan.calibration.diagnostics.stripe_shapes import StripeShape
+from jaxscan.calibration.sheet_curve import SheetCurve
+from jaxscan.phrases import of_laser
 
 # 1.5 mm in a metre. Good rigs have 0.05, one with plates bent by 0.3 mm at 250 mm has 0.7, a line 60 px thick 3 to 5.
 _DOUBTFUL = 0.0015
@@ -30,9 +31,9 @@ def light_plane_doubts(shapes: Sequence[StripeShape], curves: Sequence[SheetCurv
         tied = float(np.sqrt(np.average([shape.tied_mm**2 for shape in own], weights=count)))
         depth = float(np.average([shape.depth_mm for shape in own], weights=count))
         if tied > _DOUBTFUL * depth:
-            which = f' of laser "{laser}"' if laser else ""
             doubts.append(
-                f"The light plane{which} does not fit the stripes that it was found from: on their boards, {depth:.0f} "
-                f"mm away, these lie {tied:.2g} mm RMS beside it, not counting noise. Points will be off by as much"
+                f"The light plane{of_laser(laser)} does not fit the stripes that it was found from: on their boards, "
+                f"{depth:.0f} mm away, these lie {tied:.2g} mm RMS beside it, not counting noise. Points will be off "
+                "by as much"
             )
     return tuple(doubts)

@@ -18,8 +18,10 @@ from jaxtyping import Bool, Float
 
 from jaxscan.calibration.residuals import Blocks
 from jaxscan.calibration.rounds import Refined
+from jaxscan.calibration.sheet_curve import SheetCurve
 from jaxscan.files.rig_checks import image_rays
 from jaxscan.geometry import Pose, dual_plane_of
+from jaxscan.phrases import of_laser
 from jaxscan.precision import as_numpy
 from jaxscan.rig import BowedSheet, Covariance, LightPlane, Motion, Rig
 from jaxscan.rig.board_shape import N_TERMS, basis, middle_and_half, places_on_board
@@ -39,35 +41,6 @@ _LEAST_AHEAD = 0.17
 _ROUND = np.array([1.0, 2.0, 5.0, 10.0])
 # Singular values of the columns below this share of the largest.
 _ROUNDING = 1e-9
-
-
-@dataclass(frozen=True)
-class SheetCurve:
-    """How a sheet that was taken as flat is curved.
-
-    Attributes:
-        laser: its name, "" for the only one.
-        curve_mm: how far it is off its plane in the middle, about the ends of `width_mm`; positive away from the
-            camera.
-        sigma_mm: of that.
-        width_mm: a round number near the length of the stripes.
-        depth_mm: where: the mean depth of the stripes.
-    """
-
-    laser: str
-    curve_mm: float
-    sigma_mm: float
-    width_mm: float
-    depth_mm: float
-
-    @property
-    def in_words(self) -> str:
-        """The finding, a sentence without its full stop."""
-        which = f' of laser "{self.laser}"' if self.laser else ""
-        return (
-            f"The sheet of light{which} is curved by {abs(self.curve_mm):.2g} ± {self.sigma_mm:.1g} mm over "
-            f"{self.width_mm:g} mm, and was taken as flat: points will be off by up to as much. --sheet bowed fixes it"
-        )
 
 
 def sheet_curves(
@@ -116,13 +89,12 @@ def unclear_bows(rig: Rig, covariance: Covariance) -> tuple[str, ...]:
         (bow,), (sigma,) = light["bow"]["value"], light["bow"]["sigma"]
         if sigma is None or abs(bow) > _UNCLEAR * sigma:
             continue
-        which = f' of laser "{light["name"]}"' if light["name"] else ""
         by = ""
         if "curved_mm" in light:
             by = f", {light['curved_mm']:.2g} ± {light['curved_mm_sigma']:.1g} mm over {2 * HALF_WIDTH_MM:g} mm,"
         notes.append(
-            f"the bow of the sheet of light{which}{by} cannot be distinguished from none: calibrate with "
-            "--sheet plane, or let the stripe cross the boards at both of its ends"
+            f"the bow of the sheet of light{of_laser(light['name'])}{by} cannot be distinguished from none: calibrate "
+            "with --sheet plane, or let the stripe cross the boards at both of its ends"
         )
     return tuple(notes)
 

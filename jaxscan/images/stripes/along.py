@@ -19,7 +19,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jaxscan.images.stripes.likelihood import FWHM, REACH, REACH_PX
+from jaxscan.images.stripes.bell import FWHM
+from jaxscan.images.stripes.likelihood import REACH, REACH_PX
 from jaxscan.images.stripes.ranks import ranked
 from jaxscan.images.stripes.variogram import variogram
 from jaxscan.images.stripes.windows import Sensor, smoothed_speckle

@@ -12,8 +12,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from jaxscan.images.stripes.batch import NARROW
+from jaxscan.images.stripes.bell import FWHM
 from jaxscan.images.stripes.evidence import over
-from jaxscan.images.stripes.likelihood import FWHM
 from jaxscan.images.stripes.look import Looker, places_of
 from jaxscan.images.stripes.settle import Looked
 from jaxscan.images.stripes.stray_light import mostly

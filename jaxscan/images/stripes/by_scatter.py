@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Bool, Float, Int, Num
 
-from jaxscan.images.stripes.likelihood import FWHM
+from jaxscan.images.stripes.bell import FWHM
 from jaxscan.images.stripes.ranks import ranked
 
 # How far lines are apart whose third differences are taken: in different blocks of a JPEG; where there are none.

@@ -20,7 +20,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxscan.images.stripes.likelihood import SHAPE_ORDERS, by_shape, fit
+from jaxscan.images.stripes.bell import SHAPE_ORDERS, by_shape
+from jaxscan.images.stripes.likelihood import fit
 from jaxscan.images.stripes.normal_equations import orthogonal
 from jaxscan.images.stripes.ranks import median
 from jaxscan.images.stripes.windows import Outline, Pixels, Sensor, Windows

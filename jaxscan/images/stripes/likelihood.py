@@ -1,28 +1,9 @@
 """The maximum-likelihood fit of a stripe's profile.
 
-A sheet of Gaussian cross-section, blurred by a lens and averaged over pixels of unit width, is seen in pixel k as
-
-    μ_k = b + A P_k,    P_k = √(π/2) s [erf(x₊ / √2) − erf(x₋ / √2)],    x± = (k ± ½ − c) / s
-
-with centre c, standard deviation s, height A and background b. The pixel reads y_k = μ_k + noise of variance
-v_k = read² + shot · A P_k, unless it is full: then all that is known is y_k ≥ z_k, and its likelihood is that of a
-censored datum, Φ(t_k) with t_k = (μ_k − z_k) / √v_k (J. Tobin 1958). With q = φ / Φ, the inverse Mills ratio, score
-and information of μ are
-
-    (y − μ) / v,  1 / v               q(t) / √v,  q (q + t) / v       of a full pixel
-
-In a JPEG's burnt-out lines full pixels are numbers as the others are (`Cut`), y = min(μ, F) + error, with F where they
-were cut off: the minimum is taken as its mean over a small scatter τ of μ, t = (F − μ) / τ,
-
-    μ Φ(t) + F Φ(−t) − τ φ(t),    of the derivative Φ(t)
-
-and θ = (b, ln A, ln s, c) is refined by Newton's steps, with J = ∂μ / ∂θ, v as it stands, g and w these two,
+The profile is a bell over pixels, μ_k = b + A P_k (`bell`). With g and w the score and the information of each pixel's
+likelihood (`pixel_likelihood`), θ = (b, ln A, ln s, c) is refined by Newton's steps, J = ∂μ / ∂θ, v as it stands,
 
     (Jᵀ diag(w) J + Λ) Δθ = Jᵀ g − Λ (θ − θ₀)
-
-Where other light falls beside the stripe (`stray_light`), pixels there that are off by more than L times their noise
-count with the variance v (r² / L² v)², r = y − μ, so that their pull goes as 1 / r³; and as much light may lie under
-the stripe as half of that, so that the variance of all pixels on their side of c is greater by ¼ ⟨r²⟩ of them.
 
 The weights Λ are those of a prior. That of s is what the other lines of the photograph say, that of A a factor of e²
 either way about the start: they decide what the pixels leave open, where the whole core is full. The last pivot of the
@@ -32,16 +13,18 @@ Cholesky factor, c being last, is 1 / σ_c with the other three unknown.
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool
 
+from jaxscan.images.stripes.bell import FWHM, Profile, hermite, pixels
 from jaxscan.images.stripes.classical import Estimate
 from jaxscan.images.stripes.grain import innovations
 from jaxscan.images.stripes.normal_equations import factor, gradient, solve
-from jaxscan.images.stripes.windows import SOFT_GAIN, Cut, Lines, Outline, Pixels, Sensor, Windows, places
+from jaxscan.images.stripes.pixel_likelihood import Weighed, in_stray_light, is_beside, stray_from, weigh, weigh_cut
+from jaxscan.images.stripes.windows import Lines, Outline, Pixels, Sensor, Windows, places
 
 # Newton's steps: from the outline of an unsaturated stripe two reach the minimum to a hundredth of σ.
 _STEPS, STEPS_CENSORED = 2, 8
@@ -60,7 +43,6 @@ ROUGH = 0.3**2
 _ARRIVED = 0.01
 # The longest step: in c, of s; in the logarithms.
 _LONGEST = 0.7
-FWHM = 2.354820
 _HALF_MAXIMUM = 5.545177  # 8 ln 2
 _PIXEL_VARIANCE = 1 / 12
 _LEAST_S, _MOST_OVER = 0.35, 100.0
@@ -68,32 +50,11 @@ _LEAST_S, _MOST_OVER = 0.35, 100.0
 FREEDOM_OF_NOISE = 10.0
 # Pixels are strained if the RMS residual exceeds `_STRAIN` times the noise and this part of the peak together.
 _USUAL_MISFIT, _STRAIN = 0.03, 1.5
-_ROOT_HALF, _ROOT_HALF_PI, _ROOT_2_OVER_PI = 0.70710678, 1.2533141, 0.79788456
-_ROOT_2_PI = 2.5066283
-# Of a pixel that was cut off τ, and the least σ of what a JPEG leaves in a burnt-out line, in parts of a full pixel.
-_SOFT_CUT, _LEFT_BY_JPEG = 0.05, 0.008
-# Of the Hermite polynomials by which a cross-section may differ from a bell.
-SHAPE_ORDERS: Final = (4, 6)
-# Pixels below this part of the stripe's seen height are beside it.
-_BESIDE: Final = 0.3
-# L is no less than this; other light is found from this multiple of L on.
-_LEAST_L, _FOUND = 1.5, 2.0
-# Under the stripe other light is this part of what is seen of it beside the stripe.
-_UNDER = 0.5
 # With other light out of the way, what is left is noise up to this multiple of its squares' own scatter.
 _CHANCE = 3.0
-# Φ of less is 1e-9: there float32 has few digits of it left.
-_LEAST_T = -6.0
 _LEAST_WEIGHT = 1e-12
-
-
-class Profile(NamedTuple):
-    """θ, for each line: b, ln A, ln s, c."""
-
-    background: Lines
-    ln_height: Lines
-    ln_s: Lines
-    centre: Lines
+# Other light is found from this multiple of L on.
+_FOUND = 2.0
 
 
 class Fit(NamedTuple):
@@ -177,7 +138,7 @@ def likelihood(
     if stray:
         other = (found.used & ~(found.free | windows.full)).sum(1, keepdims=True)
         # Twice the integral of their pull, r / v up to L and L⁴ v / r³ beyond, is 2 L² of pixels that are far off.
-        more = jnp.where(other > 0, 2 * other * _stray_from(sensor) ** 2, 0.0)
+        more = jnp.where(other > 0, 2 * other * stray_from(sensor) ** 2, 0.0)
         scatter = (FREEDOM_OF_NOISE + squares + more) / (FREEDOM_OF_NOISE + freedom + other)
     sigma = jnp.sqrt(scatter) / found.inverse_sigma
     profile = found.profile
@@ -191,7 +152,7 @@ def likelihood(
     width = FWHM * jnp.exp(windows.as_it_is(profile.ln_s))
     estimate = Estimate(profile.centre, sigma, width, jnp.isfinite(sigma) & within)
     light, settled = profile.ln_height + profile.ln_s, found.moved_by < _ARRIVED
-    off = off_beside(found.standard**2, found, outline) > _FOUND * _stray_from(sensor)
+    off = off_beside(found.standard**2, found, outline) > _FOUND * stray_from(sensor)
     return estimate, Misfit(strained, *_gauss_hermite(profile, found.residual), light, settled, off)
 
 
@@ -203,17 +164,8 @@ def off_beside(squares: Pixels, found: Fit, outline: Outline) -> Lines:
         found: the fit.
         outline: of the stripe.
     """
-    beside = found.free & _beside(found.height, outline)
+    beside = found.free & is_beside(found.height, outline)
     return jnp.sqrt(jnp.where(beside, squares, 0.0).max(1, keepdims=True))
-
-
-def _beside(height: Pixels, outline: Outline) -> Bool[Array, "groups window lines"]:
-    return height < _BESIDE * (outline.top - outline.floor)
-
-
-def _stray_from(sensor: Sensor) -> Lines:
-    """L of each line: what the worst pixel beside the stripe is usually off by; ∞ where that is not known."""
-    return jnp.where(sensor.off_beside > 0, jnp.maximum(_LEAST_L, sensor.off_beside), jnp.inf)
 
 
 def _gauss_hermite(profile: Profile, residual: Pixels) -> tuple[Lines, Lines]:
@@ -268,10 +220,10 @@ def fit(
         seen = weigh(profile.background, height, windows, used, sensor, censored)
         own = free
         if stray:
-            seen, other = _in_stray_light(seen, height, outline, sensor, profile.centre)
+            seen, other = in_stray_light(seen, height, outline, sensor, profile.centre)
             own = free & ~other
         if cut is not None:
-            jacobian, as_number = _weigh_cut(profile.background, height, jacobian, windows.response, cut, used, sensor)
+            jacobian, as_number = weigh_cut(profile.background, height, jacobian, windows.response, cut, used, sensor)
             seen = jax.tree.map(partial(jnp.where, cut.lines), as_number, seen)
         if grain:
             *basis, score = _independent(jacobian, height, seen, free, sensor, windows.gain)
@@ -321,7 +273,7 @@ def fit(
 def _independent(
     jacobian: Sequence[Pixels],
     height: Pixels,
-    seen: "Weighed",
+    seen: Weighed,
     free: Bool[Array, "groups window lines"],
     sensor: Sensor,
     gain: Pixels | None,
@@ -337,136 +289,6 @@ def _independent(
     used = jnp.where(seen.weight > 0, 1.0, 0.0)
     own = jnp.where(free, 1 / weight - sensor.speckle * light**2, 1 / weight)
     return innovations([*jacobian, seen.score / weight], light, own, used, sensor.speckle, sensor.grain)
-
-
-def pixels(profile: Profile, size: int, shape: tuple[Lines, ...] | None) -> tuple[Pixels, tuple[Pixels, ...]]:
-    """A P and J of each pixel; of a laser that is no bell by the coefficients of its cross-section."""
-    A, s = jnp.exp(profile.ln_height), jnp.exp(profile.ln_s)
-    x = _edges(profile, size)
-    bell = jnp.exp(-0.5 * x * x)
-    upto = _ROOT_HALF_PI * jax.lax.erf(_ROOT_HALF * x)
-    if shape is not None:
-        He = hermite(x, SHAPE_ORDERS[-1])
-        upto = upto - bell * sum(c * He[n - 1] for c, n in zip(shape, SHAPE_ORDERS, strict=True))
-        bell = bell * (1 + sum(c * He[n] for c, n in zip(shape, SHAPE_ORDERS, strict=True)))
-    P = A * s * _between(upto)
-    return P, (jnp.ones_like(P), P, P - A * s * _between(x * bell), -A * _between(bell))
-
-
-def by_shape(profile: Profile, size: int) -> list[Pixels]:
-    """The derivatives of A P by the coefficients of the cross-section."""
-    A, s = jnp.exp(profile.ln_height), jnp.exp(profile.ln_s)
-    x = _edges(profile, size)
-    He, bell = hermite(x, SHAPE_ORDERS[-1]), jnp.exp(-0.5 * x * x)
-    return [-A * s * _between(bell * He[n - 1]) for n in SHAPE_ORDERS]
-
-
-def _edges(profile: Profile, size: int) -> Float[Array, "groups edges lines"]:
-    edge = jnp.arange(size + 1, dtype=jnp.float32)[None, :, None] - 0.5
-    return (edge - profile.centre) / jnp.exp(profile.ln_s)
-
-
-def hermite(x: Array, last: int) -> list[Array]:
-    """He₀ to the last of the Hermite polynomials: He_(n+1) = x He_n − n He_(n−1)."""
-    found = [jnp.ones_like(x), x]
-    for n in range(1, last):
-        found.append(x * found[n] - n * found[n - 1])
-    return found
-
-
-class Weighed(NamedTuple):
-    """What each pixel says of μ; 0 of those that are not used, and the residual of full ones too.
-
-    Attributes:
-        score: derivative of its log-likelihood by μ.
-        weight: its information.
-        residual: y − μ.
-    """
-
-    score: Pixels
-    weight: Pixels
-    residual: Pixels
-
-
-def weigh(
-    background: Lines,
-    height: Pixels,
-    windows: Windows,
-    used: Bool[Array, "groups window lines"],
-    sensor: Sensor,
-    censored: bool,
-) -> Weighed:
-    """Compare μ = background + height with the pixels."""
-    v = windows.variance(height, sensor)
-    residual = windows.response - background - height
-    score, weight = residual / v, 1 / v
-    if censored:
-        t = jnp.maximum(-residual / jnp.sqrt(v), _LEAST_T)
-        q = _ROOT_2_OVER_PI * jnp.exp(-0.5 * t * t) / jax.lax.erfc(-_ROOT_HALF * t)
-        score = jnp.where(windows.full, q / jnp.sqrt(v), score)
-        weight = jnp.where(windows.full, q * (q + t) / v, weight)
-        residual = jnp.where(windows.full, 0.0, residual)
-    return Weighed(*(jnp.where(used, value, 0.0) for value in (score, weight, residual)))
-
-
-def squares_left(
-    background: Pixels | Lines,
-    height: Pixels,
-    windows: Windows,
-    used: Bool[Array, "groups window lines"],
-    sensor: Sensor,
-) -> Lines:
-    """The squares of what is left, in units of the noise; a full pixel counts where it ought not to be full."""
-    residual = windows.response - background - height
-    residual = jnp.where(windows.full, jnp.maximum(residual, 0.0), residual)
-    return jnp.where(used, residual**2 / windows.variance(height, sensor), 0.0).sum(1, keepdims=True)
-
-
-def _in_stray_light(
-    seen: Weighed, height: Pixels, outline: Outline, sensor: Sensor, centre: Lines
-) -> tuple[Weighed, Bool[Array, "groups window lines"]]:
-    """The same with little weight of those pixels beside the stripe that other light reaches, and which these are.
-
-    Under the stripe such light is not seen: pixels on the same side of the centre have less weight too.
-    """
-    beyond = seen.residual**2 * seen.weight / _stray_from(sensor) ** 2
-    other = _beside(height, outline) & (beyond > 1)
-    left = places(height.shape[1]) < centre
-    hidden2 = sum(jnp.where(side, _UNDER**2 * _mean(seen.residual**2, other & side), 0.0) for side in (left, ~left))
-    by = jnp.where(other, beyond**-2, 1.0) / (1 + hidden2 * seen.weight)
-    return seen._replace(score=by * seen.score, weight=by * seen.weight), other
-
-
-def _mean(values: Pixels, where: Bool[Array, "groups window lines"]) -> Lines:
-    """Of some pixels of each line; 0 of none."""
-    return jnp.where(where, values, 0.0).sum(1, keepdims=True) / jnp.maximum(where.sum(1, keepdims=True), 1)
-
-
-def _weigh_cut(
-    background: Lines,
-    height: Pixels,
-    jacobian: tuple[Pixels, ...],
-    response: Pixels,
-    cut: Cut,
-    used: Bool[Array, "groups window lines"],
-    sensor: Sensor,
-) -> tuple[tuple[Pixels, ...], Weighed]:
-    """J, in lines that are cut off of what they show, and the comparison of min(μ, F) with their pixels.
-
-    What a JPEG leaves is alike in all pixels of the stripe, and hides photons' noise and speckle: all have one weight.
-    """
-    mu, tau = background + height, _SOFT_CUT * sensor.span
-    t = (cut.ceiling - mu) / tau
-    share = 0.5 * jax.lax.erfc(-_ROOT_HALF * t)
-    shown = mu * share + cut.ceiling * (1 - share) - tau / _ROOT_2_PI * jnp.exp(-0.5 * t * t)
-    slopes = tuple(jnp.where(cut.lines, cut.smoothed(J * share), J) for J in jacobian)
-    residual = response - cut.smoothed(shown)
-    v = SOFT_GAIN * jnp.maximum(sensor.read, _LEFT_BY_JPEG * sensor.span) ** 2
-    return slopes, Weighed(*(jnp.where(used, x, 0.0) for x in (residual / v, 1 / v, residual)))
-
-
-def _between(at_edges: Float[Array, "groups edges lines"]) -> Pixels:
-    return at_edges[:, 1:] - at_edges[:, :-1]
 
 
 def first_guess(windows: Windows, outline: Outline, sensor: Sensor, censored: bool) -> Profile:

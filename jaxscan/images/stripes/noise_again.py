@@ -10,9 +10,9 @@ from typing import Final
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from jaxscan.images.stripes.bell import FWHM
 from jaxscan.images.stripes.evidence import mostly_torn
 from jaxscan.images.stripes.light import MOSTLY_BURNT
-from jaxscan.images.stripes.likelihood import FWHM
 from jaxscan.images.stripes.look import Looker
 from jaxscan.images.stripes.settle import Looked
 from jaxscan.images.stripes.stray_light import in_other_light, near_to

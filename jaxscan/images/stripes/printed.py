@@ -21,7 +21,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, UInt
 
 from jaxscan.images.stripe_settings import StripeSettings
-from jaxscan.images.stripes.likelihood import FWHM
+from jaxscan.images.stripes.bell import FWHM
 from jaxscan.images.stripes.response import Backgrounds, Images, channels, noise_gain
 from jaxscan.images.stripes.windows import Pixels, Places, Sensor, first_pixel, gather_pixels, places
 from jaxscan.kept_programs import compiled

@@ -21,9 +21,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxscan.images.stripes.bell import FWHM
 from jaxscan.images.stripes.classical import Estimate
-from jaxscan.images.stripes.likelihood import FWHM, LN_HEIGHT_SPREAD, fit, squares_left, weigh
+from jaxscan.images.stripes.likelihood import LN_HEIGHT_SPREAD, fit
 from jaxscan.images.stripes.normal_equations import damped_step, factor, least_of, strain
+from jaxscan.images.stripes.pixel_likelihood import squares_left, weigh
 from jaxscan.images.stripes.windows import Lines, Outline, Pixels, Sensor, Windows, places
 
 # Gauss and Legendre's nodes and weights over a pixel.

@@ -19,7 +19,8 @@ import numpy as np
 from jaxtyping import Float, Int, UInt
 
 from jaxscan.images.stripe_settings import CHANNELS, StripeSettings
-from jaxscan.images.stripes.likelihood import FREEDOM_OF_NOISE, FWHM, REACH, REACH_PX
+from jaxscan.images.stripes.bell import FWHM
+from jaxscan.images.stripes.likelihood import FREEDOM_OF_NOISE, REACH, REACH_PX
 from jaxscan.images.stripes.response import LUMA, ROUNDING
 from jaxscan.images.stripes.windows import Sensor
 

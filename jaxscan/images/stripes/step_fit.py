@@ -18,18 +18,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxscan.images.stripes.bell import FWHM, Profile, pixels
 from jaxscan.images.stripes.classical import Estimate
-from jaxscan.images.stripes.likelihood import (
-    FREEDOM_OF_NOISE,
-    FWHM,
-    LN_HEIGHT_SPREAD,
-    Profile,
-    fit,
-    pixels,
-    squares_left,
-    weigh,
-)
+from jaxscan.images.stripes.likelihood import FREEDOM_OF_NOISE, LN_HEIGHT_SPREAD, fit
 from jaxscan.images.stripes.normal_equations import damped_step, factor, least_of, strain
+from jaxscan.images.stripes.pixel_likelihood import squares_left, weigh
 from jaxscan.images.stripes.windows import Lines, Outline, Pixels, Sensor, Windows, places
 
 # How far a step is smeared by lens and pixel: σ, px.

@@ -19,20 +19,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
+from jaxscan.images.stripes.bell import FWHM, Profile, pixels
 from jaxscan.images.stripes.classical import Estimate
-from jaxscan.images.stripes.likelihood import (
-    FREEDOM_OF_NOISE,
-    FWHM,
-    LN_HEIGHT_SPREAD,
-    REACH,
-    REACH_PX,
-    Profile,
-    first_guess,
-    pixels,
-    squares_left,
-    weigh,
-)
+from jaxscan.images.stripes.likelihood import FREEDOM_OF_NOISE, LN_HEIGHT_SPREAD, REACH, REACH_PX, first_guess
 from jaxscan.images.stripes.normal_equations import damped_step, factor, strain
+from jaxscan.images.stripes.pixel_likelihood import squares_left, weigh
 from jaxscan.images.stripes.windows import Lines, Outline, Pixels, Sensor, Windows, places
 
 _STEPS: Final = 8

@@ -6,7 +6,7 @@ from typing import Any, Final
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxscan.images.stripes.likelihood import FWHM
+from jaxscan.images.stripes.bell import FWHM
 
 # Points of a stripe follow one another within this number of lines, within this distance and slope, and with widths
 # that agree within this factor.
