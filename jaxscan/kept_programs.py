@@ -155,8 +155,8 @@ class Compiled:
 
         # By which JAX's own files, and what it says of a function, are called.
         program.__name__ = name
-        # What a kept program gives is committed to its device, what NumPy gives is not. Without a place that is named JAX
-        # would compile the same program again for each combination of the two.
+        # What a kept program gives is committed to its device, what NumPy gives is not. Without a place that is named
+        # JAX would compile the same program again for each combination of the two.
         [device] = jax.devices()
         one_place = jax.sharding.SingleDeviceSharding(device)
         return _Ready(jax.jit(program, in_shardings=one_place), jax.tree.structure(back))

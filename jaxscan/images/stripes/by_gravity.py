@@ -20,12 +20,13 @@ from jaxtyping import Bool, Float, Int
 from jaxscan.images.stripes.by_scatter import ALONE, moves, of_one_surface, surfaces, third_differences
 from jaxscan.images.stripes.cross_section import size_of
 from jaxscan.images.stripes.look import Looker, places_of
+from jaxscan.images.stripes.processed import at_half_resolution
 from jaxscan.images.stripes.ranks import ranked
 from jaxscan.images.stripes.settle import replaced
 
 # The centre of gravity is taken where the fit scatters more by this factor, over all distances: their geometric mean,
 # by how many differences there are over each.
-_MORE: Final = 1.15
+_MORE: Final = 1.05
 # So much of a normal number's values are within σ. A quotient of two scatters of n lines is off by this over √n.
 _WITHIN, _BY_CHANCE = 0.683, 2.0
 # Over a distance along which half of the lines differ by less, px, errors that change with the place in a pixel are
@@ -69,9 +70,12 @@ def steadier_by_gravity(
 
 
 def in_doubt(looker: Looker) -> Bool[np.ndarray, "frames"]:
-    """In which frames lines leave something in common, or did before the laser had a cross-section of its own."""
+    """In which frames lines leave something in common, or did before the laser had a cross-section of its own.
+
+    In a JPEG with colours at half resolution what is left depends on the place in a block, and lines do not share it.
+    """
     sensor, count = looker.light.sensor, looker.batch.count
-    common = ~np.asarray(sensor.apart)[:count]
+    common = ~np.asarray(sensor.apart)[:count] | at_half_resolution(sensor)[:count]
     return common if sensor.shape is None else common | (size_of(sensor.shape)[:count] > 0)
 
 

@@ -14,7 +14,7 @@ There is a stripe where the peak exceeds its background by a multiple of the fra
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from itertools import cycle
-from typing import Any, Final
+from typing import Any
 
 import jax
 import numpy as np
@@ -39,10 +39,6 @@ from jaxscan.images.stripes.stripe import Stripe
 from jaxscan.images.stripes.validity import Verdict
 from jaxscan.images.stripes.windows import Sensor
 from jaxscan.precision import float32
-
-# In a JPEG with colours at half resolution, up to this one the native pixels of a mosaic are better than all: ln of the
-# stripe's standard deviation, px.
-_FINE_LN_PX: Final = float(np.log(1.6))
 
 
 def detect_stripe(
@@ -167,9 +163,8 @@ def _native_pixels(batch: Batch, sensor: Sensor, choice: Choice) -> Int[np.ndarr
     """The parity of a mosaic's native pixels in each frame, where there is one and lines have room for half of them."""
     if batch.length // 2 <= 2 * NARROW:
         return None
-    # Where colours have half the resolution, luma has all pixels: a broad stripe is better measured in these.
-    taken = ~at_half_resolution(sensor) | (np.asarray(sensor.ln_s) < _FINE_LN_PX)
-    taken = taken[: batch.count]
+    # Where colours have half the resolution no pixel is as the sensor saw it, and luma has all of them.
+    taken = ~at_half_resolution(sensor)[: batch.count]
     return native_pixels(batch.frames, batch.dark, batch.settings, batch.peak, taken, alike=choice == "coherent")
 
 

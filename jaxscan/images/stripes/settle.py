@@ -30,9 +30,9 @@ _RISES: Final = 0.7
 _WHITE, _IN_COLOUR, _FLANK_PX = 0.2, 0.6, 8
 # What is found lies near what it was looked for by: within so much, and half of its own width.
 _NEAR_PX: Final = 3.0
-# In weak light a stripe's strength is below this multiple of the least strength, and what stands alone is at most so many
-# times fainter than the stripe: edges in the room's light have runs of faint points too. Faint points are above the
-# second multiple of the noise, where most of the greatest peaks of noise are.
+# In weak light a stripe's strength is below this multiple of the least strength, and what stands alone is at most so
+# many times fainter than the stripe: edges in the room's light have runs of faint points too. Faint points are above
+# the second multiple of the noise, where most of the greatest peaks of noise are.
 _WEAK, _FAINT = 4.0, 2.0
 
 # Frame, line and row of each place.

@@ -65,7 +65,7 @@ def in_a_line(
     apart = np.diff(line)
     # The next frame's lines begin again.
     joined = (np.diff(place) <= GAP) & (apart > 0) & (np.abs(np.diff(at)) <= COMPANY_PX + STEEPEST * apart)
-    joined &= np.abs(np.diff(np.log(width))) <= LN_WIDTHS
+    joined &= _as_wide(np.log(width))
     starts = np.concatenate([[0], 1 + np.flatnonzero(~joined)])
     weight = weight.astype(np.float64)
     length = np.diff(starts, append=place.size)
@@ -76,6 +76,17 @@ def in_a_line(
     found = np.zeros_like(seen)
     found.flat[place] = kept
     return found, np.bincount(place[starts[longer]] // lines, minlength=frames)
+
+
+def _as_wide(ln_width: Float[np.ndarray, "points"]) -> Bool[np.ndarray, "pairs"]:
+    """Whether each point is about as wide as the next, or every second one is.
+
+    Behind a mosaic of colour filters the lines that did not see the laser's colour are broad, those between narrow.
+    """
+    alike = np.abs(np.diff(ln_width)) <= LN_WIDTHS
+    every_second = np.abs(ln_width[2:] - ln_width[:-2]) <= LN_WIDTHS
+    alike[1:-1] |= every_second[1:] & every_second[:-1]
+    return alike
 
 
 def longer_than_thick(
