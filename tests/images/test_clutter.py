@@ -8,7 +8,8 @@ import pytest
 
 from jaxscan.images import StripeSettings, detect_stripe
 from jaxscan.images.stripes.detectors import Measured
-from jaxscan.images.stripes.validity import Verdict, in_a_line
+from jaxscan.images.stripes.faint import faint_runs
+from jaxscan.images.stripes.validity import LN_WIDTHS, Verdict, in_a_line
 
 ROWS, COLUMNS = 480, 640
 RED, GREY = StripeSettings("red"), StripeSettings("grey")
@@ -77,7 +78,7 @@ def test_a_lamp_is_as_thick_as_it_looks():
     values = {"position": 344.0, "strength": 345.0, "width": np.where(disc, 7.0, 2.0), "breadth": chord, "burnt": disc}
     each = {f.name: np.broadcast_to(np.float32(values.get(f.name, 0)), (1, COLUMNS)) for f in fields(Measured)}
     measured = Measured(**{**each, "burnt": disc[None]})
-    assert not in_a_line(measured, disc[None], np.array([20.0]))[0].any()
+    assert not in_a_line(measured, disc[None], np.array([20.0]), np.array([LN_WIDTHS]))[0].any()
 
 
 def test_why_a_line_has_no_point_is_told():
@@ -155,8 +156,39 @@ def test_a_few_points_hardly_brighter_than_noise_are_no_stripe(count, strength, 
     seen[0, lines] = True
     at, bright, wide = (np.full((1, COLUMNS), x, np.float32) for x in (212.0, strength, 1.9))
     measured = SimpleNamespace(position=at, strength=bright, width=wide, thickness=wide)
-    found, _ = in_a_line(measured, seen, np.array([20.3]))
+    found, _ = in_a_line(measured, seen, np.array([20.3]), np.array([LN_WIDTHS]))
     assert (found == (seen & kept)).all()
+
+
+@pytest.mark.parametrize(("strength", "kept"), [(7.0, False), (12.0, True)])
+def test_beside_a_weak_stripe_what_is_much_fainter_is_none(strength, kept):
+    """Edges in the light of a room leave runs of such points in a JPEG, up to 239 mm off."""
+    lines = np.arange(COLUMNS)
+    stripe, alone = lines < 300, (lines > 340) & (lines < 400)
+    at = np.where(stripe, 200.0, 240.0)
+    bright, wide = np.where(stripe, 40.0, strength), np.full(COLUMNS, 2.0)
+    runs = faint_runs(stripe | alone, at, bright, wide, ROWS, stripe, least_alone=10.0).runs
+    assert runs[stripe].all()
+    assert (runs[alone] == kept).all()
+    goes_on = faint_runs(stripe | alone, np.full(COLUMNS, 200.0), bright, wide, ROWS, stripe, least_alone=np.inf).runs
+    assert not goes_on[alone].any()
+    near = stripe | (lines < 340)
+    assert faint_runs(near, np.full(COLUMNS, 200.0), bright, wide, ROWS, stripe, least_alone=np.inf).runs[near].all()
+
+
+@pytest.mark.parametrize(("every_second", "kept"), [(True, True), (False, False)])
+def test_lines_of_two_widths_in_turn_are_one_stripe(every_second, kept):
+    """Behind a mosaic of colours the lines that did not see the laser's colour are broad."""
+    random = np.random.default_rng(0)
+    wide = (
+        np.where(np.arange(40) % 2 == 0, 1.0, 4.5) if every_second else np.geomspace(1, 40, 40)[random.permutation(40)]
+    )
+    seen = np.ones((1, 40), bool)
+    measured = SimpleNamespace(
+        position=np.full((1, 40), 100.0), strength=np.full((1, 40), 60.0), width=wide[None], thickness=wide[None]
+    )
+    found, _ = in_a_line(measured, seen, np.array([20.0]), np.array([LN_WIDTHS]))
+    assert (found.mean() > 0.9) == kept
 
 
 @pytest.mark.parametrize(("color", "surface"), [("red", (40, 120, 60)), ("green", (150, 60, 60))])

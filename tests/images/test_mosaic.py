@@ -75,6 +75,20 @@ def test_the_stripe_is_as_sharp_as_half_the_pixels_show_it(s, how):
     assert np.nanmedian(found.width) == pytest.approx(np.nanmedian(full.width), rel=0.25)
 
 
+@pytest.mark.parametrize("quality", [75, 90])
+@pytest.mark.parametrize("s", [1.1, 1.6])
+def test_a_jpeg_of_it_is_measured_no_worse_than_by_gravity(s, quality):
+    """Its colours have half the resolution: no pixel is as the sensor saw it."""
+    frames = []
+    for each in _seen(_photographs(s)):
+        options = [cv2.IMWRITE_JPEG_QUALITY, quality, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, 0x220000]
+        frames.append(cv2.imdecode(cv2.imencode(".jpg", each[..., ::-1], options)[1], cv2.IMREAD_COLOR)[..., ::-1])
+    own, by_gravity = (detect_stripe(np.stack(frames), StripeSettings(), detector=d) for d in ("likelihood", "gravity"))
+    assert not own.mosaic.any()
+    assert own.valid[:, 4:-4].mean() > 0.98
+    assert _rms(_errors(own)) < 1.05 * _rms(_errors(by_gravity))
+
+
 @pytest.mark.parametrize("s", [1.3, 2.0])
 def test_sigma_is_that_of_the_errors(s):
     found = detect_stripe(_seen(_photographs(s)), StripeSettings())

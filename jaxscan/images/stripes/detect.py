@@ -36,7 +36,7 @@ from jaxscan.images.stripes.settle import Band, MeasuredFrames, settle
 from jaxscan.images.stripes.sigma import sigma_of_centres
 from jaxscan.images.stripes.stray_light import without_stray_light
 from jaxscan.images.stripes.stripe import Stripe
-from jaxscan.images.stripes.validity import Verdict
+from jaxscan.images.stripes.validity import LN_WIDTHS, LN_WIDTHS_IN_BLOCKS, Verdict
 from jaxscan.images.stripes.windows import Sensor
 from jaxscan.precision import float32
 
@@ -129,7 +129,10 @@ def _detect(
         return of_mosaics(frames, dark, settings.columns, native, band, parts, batch.surroundings(sensor))
     looker = Looker.create(batch, Light.create(batch, sensor, detector == "likelihood"), detector)
     looker, looked = looker.everywhere()
-    all_of_it = MeasuredFrames(looked, batch.peak, looker.least, looker.ground, batch.length, looker.at, band)
+    ln_widths = np.where(at_half_resolution(sensor), LN_WIDTHS_IN_BLOCKS, LN_WIDTHS)[:count]
+    all_of_it = MeasuredFrames(
+        looked, batch.peak, looker.least, looker.ground, ln_widths, batch.length, looker.at, band
+    )
     narrow = None if sensor.colours is None or dark is not None else partial(batch.narrow_peaks, sensor=sensor)
     colours = batch.peaks_of_colour, batch.rises_alone, narrow
     verdict = settle(all_of_it, batch.peaks, settings.columns, choice == "likeliest", *colours)

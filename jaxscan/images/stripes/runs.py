@@ -66,7 +66,9 @@ class Points(NamedTuple):
         return Points(*(x[which] for x in self))
 
 
-def linked(points: Points, company_px: float = COMPANY_PX, steepest: float = STEEPEST) -> Int[np.ndarray, "points"]:
+def linked(
+    points: Points, company_px: float = COMPANY_PX, steepest: float = STEEPEST, ln_widths: float = LN_WIDTHS
+) -> Int[np.ndarray, "points"]:
     """The number of the run that each point belongs to."""
     line, at, count = points.line, points.at, len(points.line)
     ln_strength, ln_width = np.log(np.maximum(points.strength, 1e-3)), np.log(points.width)
@@ -78,7 +80,7 @@ def linked(points: Points, company_px: float = COMPANY_PX, steepest: float = STE
         gap = line[m:] - line[:-m]
         most = company_px + steepest * gap
         off = np.abs(at[m:] - at[:-m])
-        near = (gap > 0) & (gap <= GAP) & (off <= most) & (np.abs(ln_width[m:] - ln_width[:-m]) <= LN_WIDTHS)
+        near = (gap > 0) & (gap <= GAP) & (off <= most) & (np.abs(ln_width[m:] - ln_width[:-m]) <= ln_widths)
         by = gap + off / company_px + _BY_STRENGTH * np.abs(ln_strength[m:] - ln_strength[:-m])
         for mine, its, best, least in (
             (np.s_[:-m], index[m:], after, least_after),
@@ -94,14 +96,17 @@ def linked(points: Points, company_px: float = COMPANY_PX, steepest: float = STE
     return np.unique(first, return_inverse=True)[1]
 
 
-def likeliest(points: Points, response: Response) -> tuple[Bool[np.ndarray, "points"], Bool[np.ndarray, "points"]]:
+def likeliest(
+    points: Points, response: Response, ln_widths: float = LN_WIDTHS
+) -> tuple[Bool[np.ndarray, "points"], Bool[np.ndarray, "points"]]:
     """Which points are of the stripe, one in a line at most; and which of the others lie in lines that are none.
 
     Args:
         points: what was measured.
         response: how far places stand out in their lines, measured or not, by line and row.
+        ln_widths: by how much the logarithms of neighbours' widths may differ.
     """
-    run = linked(points)
+    run = linked(points, ln_widths=ln_widths)
     order = np.lexsort((points.line, run))
     starts = np.searchsorted(run[order], np.arange(run.max(initial=-1) + 1))
     ordered = points.of(order)

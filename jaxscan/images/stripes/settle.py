@@ -30,9 +30,9 @@ _RISES: Final = 0.7
 _WHITE, _IN_COLOUR, _FLANK_PX = 0.2, 0.6, 8
 # What is found lies near what it was looked for by: within so much, and half of its own width.
 _NEAR_PX: Final = 3.0
-# In weak light a stripe's strength is below this multiple of the least strength, and what stands alone is at most so
-# many times fainter than the stripe: edges in the room's light have runs of faint points too. Faint points are above
-# the second multiple of the noise, where most of the greatest peaks of noise are.
+# In weak light a stripe's strength is below this multiple of the least strength. What stands alone is as bright as the
+# stripe divided by it, for edges in the room's light have runs of faint points too. Faint points are above the second
+# multiple of the noise, where most of the greatest peaks of noise are.
 _WEAK, _FAINT = 4.0, 2.0
 
 # Frame, line and row of each place.
@@ -76,6 +76,7 @@ class MeasuredFrames:
         peak: at which row it was looked for.
         least: how much a stripe must stand out in each frame.
         ground: the noise of each frame.
+        ln_widths: by how much the logarithms of neighbours' widths may differ in each frame.
         length: rows of the image.
         look: measures at other places.
         band: where the sheet can be.
@@ -85,6 +86,7 @@ class MeasuredFrames:
     peak: Int[np.ndarray, "frames lines"]
     least: Float[np.ndarray, "frames"]
     ground: Float[np.ndarray, "frames"]
+    ln_widths: Float[np.ndarray, "frames"]
     length: int
     look: Callable[[Places], Looked]
     band: Band | None
@@ -142,7 +144,7 @@ def settle(
     if contested:
         bright &= frames.looked.near(frames.peak)
     inside = frames.within(numbers, lines, measured.position)
-    found, runs = in_a_line(measured, bright & inside, frames.least)
+    found, runs = in_a_line(measured, bright & inside, frames.least, frames.ln_widths)
     second = np.zeros(shape, bool)
     if contested:
         lost = frames.looked.strong & ~found
@@ -156,7 +158,7 @@ def settle(
                 coloured = None if coloured is None else np.swapaxes(coloured, 1, 2)
             _contest(frames, doubtful, down, coloured, rises_alone, lost, narrow_peaks, standing, second)
             measured = frames.looked.measured
-            found, _ = in_a_line(measured, standing, frames.least)
+            found, _ = in_a_line(measured, standing, frames.least, frames.ln_widths)
     verdict = np.where(found, Verdict.STRIPE, Verdict.NOTHING).astype(np.int8)
     verdict[bright & ~found] = Verdict.SPOT
     verdict[second & ~found] = Verdict.SECOND
@@ -228,7 +230,8 @@ def _contest(
             )
         )
         response = _Responses(peaks[n], frames.length)
-        chosen, others = (x[np.argsort(order)] for x in likeliest(Points(line[order], *values), response))
+        points, most = Points(line[order], *values), float(frames.ln_widths[n])
+        chosen, others = (x[np.argsort(order)] for x in likeliest(points, response, most))
         second[n, line[others]] = True
         standing[n] = False
         standing[n, line[chosen]] = True

@@ -12,6 +12,8 @@ from jaxscan.images.stripes.bell import FWHM
 # that agree within this factor.
 GAP, COMPANY_PX, STEEPEST = 4, 2.0, 4.0
 LN_WIDTHS: Final = float(np.log(2.5))
+# Where colours have half the resolution, each block of 16 pixels may blur the stripe in its own way.
+LN_WIDTHS_IN_BLOCKS: Final = float(np.log(4.0))
 # It is longer than this multiple of its thickness, and longer than this number of lines.
 _LONGER, _SHORTEST = 1.5, 2.5
 # Fewer points make a line only where they stand out by so much more than noise does: where a texture leaks into the
@@ -40,7 +42,10 @@ class Verdict(IntEnum):
 
 
 def in_a_line(
-    measured: Any, seen: Bool[np.ndarray, "frames lines"], least: Float[np.ndarray, "frames"]
+    measured: Any,
+    seen: Bool[np.ndarray, "frames lines"],
+    least: Float[np.ndarray, "frames"],
+    ln_widths: Float[np.ndarray, "frames"],
 ) -> tuple[Bool[np.ndarray, "frames lines"], Int[np.ndarray, "frames"]]:
     """Whether a point belongs to something longer than it is thick: a stripe is a line, noise and glints are not.
 
@@ -51,6 +56,7 @@ def in_a_line(
         measured: `Measured` of NumPy's arrays.
         seen: which lines have a point.
         least: by how much more than noise a point stands out at the least.
+        ln_widths: by how much the logarithms of neighbours' widths may differ.
 
     Returns:
         Which points do, and how many such runs of points each frame has.
@@ -65,7 +71,7 @@ def in_a_line(
     apart = np.diff(line)
     # The next frame's lines begin again.
     joined = (np.diff(place) <= GAP) & (apart > 0) & (np.abs(np.diff(at)) <= COMPANY_PX + STEEPEST * apart)
-    joined &= _as_wide(np.log(width))
+    joined &= _as_wide(np.log(width), ln_widths[place // lines])
     starts = np.concatenate([[0], 1 + np.flatnonzero(~joined)])
     weight = weight.astype(np.float64)
     length = np.diff(starts, append=place.size)
@@ -78,13 +84,13 @@ def in_a_line(
     return found, np.bincount(place[starts[longer]] // lines, minlength=frames)
 
 
-def _as_wide(ln_width: Float[np.ndarray, "points"]) -> Bool[np.ndarray, "pairs"]:
+def _as_wide(ln_width: Float[np.ndarray, "points"], most: Float[np.ndarray, "points"]) -> Bool[np.ndarray, "pairs"]:
     """Whether each point is about as wide as the next, or every second one is.
 
     Behind a mosaic of colour filters the lines that did not see the laser's colour are broad, those between narrow.
     """
-    alike = np.abs(np.diff(ln_width)) <= LN_WIDTHS
-    every_second = np.abs(ln_width[2:] - ln_width[:-2]) <= LN_WIDTHS
+    alike = np.abs(np.diff(ln_width)) <= most[1:]
+    every_second = np.abs(ln_width[2:] - ln_width[:-2]) <= most[2:]
     alike[1:-1] |= every_second[1:] & every_second[:-1]
     return alike
 
