@@ -4,6 +4,8 @@ from bisect import bisect_left
 from collections.abc import Hashable, Sequence
 from typing import Final, TypeVar
 
+from jaxscan.phrases import first_few
+
 # Up to this number of photographs that moved, and up to a third of all, each is named; of more the whole order is said.
 _NAMED: Final = 5
 _ORDER_NAMED: Final = 40
@@ -19,10 +21,10 @@ def correction(names: Sequence[str], by_place: Sequence[str]) -> str:
     wrong = [name for name, right in zip(names, by_place, strict=True) if name != right]
     if len(wrong) == 2:
         return f"if {wrong[0]} and {wrong[1]} were exchanged"
-    moved = [name for name in by_place if name in fewest_to_move(names, by_place)]
+    fewest = fewest_to_move(names, by_place)
+    moved = [name for name in by_place if name in fewest]
     if len(moved) > min(_NAMED, len(by_place) // 3):
-        more = len(by_place) - _ORDER_NAMED
-        return f"if they were in the order {', '.join(by_place[:_ORDER_NAMED])}" + (f" and {more} more" * (more > 0))
+        return f"if they were in the order {first_few(by_place, _ORDER_NAMED)}"
     places = []
     for name in moved:
         at = by_place.index(name)

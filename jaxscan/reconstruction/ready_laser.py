@@ -69,7 +69,7 @@ class ReadyLaser:
         self._of_poses = PoseSigma.of(content)
         self._rig = rig
         thick = content.fit.get("sheet_sigma_mm", ())
-        which = rig.lights.index(rig.light(name))
+        which = rig.lights.index(self._light)
         self._thickness_mm = float(thick[which]) if which < len(thick) else 0.0
 
     def range_image(self, frames: Frames, axes: Sequence[str], standing: bool = False) -> tuple[RangeImage, Stripe]:

@@ -22,7 +22,7 @@ def stage(calibration: Calibration, diagnostics: Diagnostics) -> Section:
         if "mm_per_1000_steps" in summary
     )
     for s in diagnostics.stages:
-        along = 1000 * np.sqrt((s.error_mm[:, 0] ** 2).mean())
+        along = 1000 * _rms(s.error_mm[:, 0])
         across = 1000 * np.sqrt((s.error_mm[:, 1:] ** 2).mean(axis=0))
         turned = np.abs(s.rotation_mrad).max()
         rows.append(
