@@ -93,7 +93,11 @@ def _measured(result: Path, rig: Path, part: "Part") -> dict[str, Any]:
     from jaxscan.measurement.measure import measure
     from jaxscan.measurement.rows import rows_of
 
-    found = measure(read_surface(result, rig)[0], part)
+    scanned = read_surface(result, rig)[0]
+    if scanned.image is not None:
+        # The batch says itself what was noted of each scan.
+        scanned = replace(scanned, image=replace(scanned.image, notes=()))
+    found = measure(scanned, part)
     notes = {"notes": list(found.notes), "failed": list(found.problems)}
     return {"verdict": found.verdict, "dimensions": rows_of(found), **notes}
 

@@ -246,6 +246,8 @@ def _range_image(summary: Summary) -> Iterator[Line]:
 
         known = SpeckleLimit(limit["contrast"], limit["limit_mm"], limit["sigma_pixel_mm"])
         yield "limit of speckle", known.in_words()
+    for note in summary["notes"]:
+        yield "note", note
 
 
 _WORDS: dict[str, Callable[[Summary], Iterator[Line]]] = {

@@ -166,7 +166,7 @@ def reconstruct_scan(
     with progress("reading frames", len(photographs.frames) or None, "frame") as advance:
         scanner = Scanner(calibrated, detector, choice, spacetime, depths_mm)
         parts = (paint or Paint()).of(scanner.scan(photographs, advance), calibrated.rig, photographs)
-        return write_stream(outputs, parts), scanner
+        return write_stream(outputs, parts, lambda: scanner.notes), scanner
 
 
 def describe(result: dict[str, Any]) -> str:

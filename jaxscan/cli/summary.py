@@ -249,6 +249,7 @@ def range_summary(path: Path) -> Summary:
         # Of profiles of other devices it is not known, and 0 stands for it.
         "strength": _median(image.strength[image.valid]) or None,
         "light": None if image.light is None or (light := Light.of([image.light])) is None else asdict(light),
+        "notes": list(image.notes),
     }
 
 

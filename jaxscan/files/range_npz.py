@@ -1,9 +1,10 @@
 """The organised range image as an NPZ file: one point for each frame and each image column (or row)."""
 
+import json
 import os
 import shutil
 import zipfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -35,6 +36,8 @@ _WHERE_KNOWN: Final = {
     "per_step": np.dtype(np.float64),
 }
 _DTYPES: Final = _ALWAYS | _WHERE_KNOWN
+_NOTES: Final = "notes"
+_READ: Final = _DTYPES | {_NOTES: np.dtype(np.uint8)}
 # What has no entry for each frame.
 _OF_THE_SCAN: Final = ("scanner", "per_step")
 _COPIED_AT_ONCE: Final = 1 << 20
@@ -58,6 +61,7 @@ class RangeArrays:
         light: read noise, gain, speckle contrast and saturation of each frame, where the file has them.
         colours: red, green and blue of each point, 0, 0, 0 for none, where the file has them.
         albedo: relative, NaN for none, where the file has it.
+        notes: what the photographs have shown to be wrong in the scan or its settings; JSON in UTF-8 in the file.
     """
 
     points: Float32[np.ndarray, "frames columns 3"]
@@ -73,6 +77,7 @@ class RangeArrays:
     light: Float32[np.ndarray, "frames 4"] | None = None
     colours: UInt8[np.ndarray, "frames columns 3"] | None = None
     albedo: Float32[np.ndarray, "frames columns"] | None = None
+    notes: tuple[str, ...] = ()
 
 
 def write_range_npz(path: str | os.PathLike[str], image: RangeArrays) -> None:
@@ -86,16 +91,23 @@ def write_range_npz(path: str | os.PathLike[str], image: RangeArrays) -> None:
 
 
 @contextmanager
-def writing_range_npz(path: str | os.PathLike[str]) -> Iterator[Callable[[RangeArrays], None]]:
+def writing_range_npz(
+    path: str | os.PathLike[str], notes: Callable[[], Sequence[str]] = tuple
+) -> Iterator[Callable[[RangeArrays], None]]:
     """Write a range image whose frames come some at a time, whole or not at all: the block is given what adds them.
 
     Each array waits in a file of its own beside `path` until its length is known.
+
+    Args:
+        path: the file.
+        notes: asked once all frames have come: what is noted beside what they bring.
 
     Raises:
         InputError: the arrays do not fit one another, or the file cannot be written.
     """
     folder = os.path.dirname(os.path.realpath(path))
     shapes: dict[str, tuple[int, ...]] = {}
+    noted: dict[str, None] = {}
     with replacing(path, "wb") as file, ExitStack() as stack:
         parts: dict[str, IO[bytes]] = {}
 
@@ -106,6 +118,7 @@ def writing_range_npz(path: str | os.PathLike[str]) -> Iterator[Callable[[RangeA
                 if (value := getattr(image, name)) is not None
             }
             _check(path, arrays)
+            noted.update(dict.fromkeys(image.notes))
             for name in arrays if not parts else ():
                 parts[name] = stack.enter_context(TemporaryFile(dir=folder))
             if arrays.keys() != parts.keys():
@@ -130,6 +143,11 @@ def writing_range_npz(path: str | os.PathLike[str]) -> Iterator[Callable[[RangeA
                     np.lib.format.write_array_header_1_0(entry, header)
                     part.seek(0)
                     shutil.copyfileobj(part, entry, _COPIED_AT_ONCE)
+            noted.update(dict.fromkeys(notes()))
+            if noted:
+                encoded = np.frombuffer(json.dumps(list(noted), ensure_ascii=False).encode(), np.uint8)
+                with archive.open(zipfile.ZipInfo(f"{_NOTES}.npy"), "w") as entry:
+                    np.lib.format.write_array(entry, encoded)
 
 
 def read_range_npz(path: str | os.PathLike[str]) -> RangeArrays:
@@ -148,13 +166,26 @@ def read_range_npz(path: str | os.PathLike[str]) -> RangeArrays:
                 "name one that `jaxscan reconstruct` has written"
             )
         for name, header in headers.items():
-            if header.dtype != _DTYPES[name]:
-                raise InputError(f'{path}: "{name}" is {header.dtype}, {_DTYPES[name]} is expected: reconstruct again')
+            if header.dtype != _READ[name]:
+                raise InputError(f'{path}: "{name}" is {header.dtype}, {_READ[name]} is expected: reconstruct again')
         _check_shapes(path, {name: header.shape for name, header in headers.items()})
 
-    arrays = read_npz(path, lambda name: name in _DTYPES, check)
+    arrays = read_npz(path, lambda name: name in _READ, check)
+    notes = _read_notes(path, arrays.pop(_NOTES, None))
     _check_points(path, arrays)
-    return RangeArrays(**arrays)
+    return RangeArrays(**arrays, notes=notes)
+
+
+def _read_notes(path: Path, encoded: UInt8[np.ndarray, "bytes"] | None) -> tuple[str, ...]:
+    if encoded is None:
+        return ()
+    try:
+        notes = json.loads(encoded.tobytes())
+    except (ValueError, RecursionError) as error:
+        raise InputError(f'{path}: "{_NOTES}" is no JSON ({error}): reconstruct again') from error
+    if not isinstance(notes, list) or not all(isinstance(note, str) for note in notes):
+        raise InputError(f'{path}: "{_NOTES}" is no list of sentences: reconstruct again')
+    return tuple(notes)
 
 
 def _check(path: str | os.PathLike[str], arrays: Mapping[str, np.ndarray]) -> None:
@@ -169,7 +200,7 @@ def _check_shapes(path: str | os.PathLike[str], shapes: Mapping[str, tuple[int, 
     expected |= {"colours": (*shape, 3), "albedo": shape}
     # As many axes as they are, and as many letters.
     expected |= {"positions": (*shape[:1], *(shapes.get("positions", ())[1:2] or (0,)))}
-    expected |= {"scanner": shapes.get("scanner", ())[:1] or (0,)}
+    expected |= {name: shapes.get(name, ())[:1] or (0,) for name in ("scanner", _NOTES)}
     for name, own in shapes.items():
         if len(shape) != 2 or own != expected[name]:
             raise InputError(

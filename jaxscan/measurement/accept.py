@@ -162,7 +162,8 @@ def accept(scans: Sequence[tuple[str, RangeImage]], rig: RigFile, artefact: Arte
             figures += _figures(name, image, rig, artefact)
         except InputError as error:
             problems.append(f"{name}: {error}")
-    notes = tuple(_notes(figures, rig, artefact))
+    of_the_scans = (f"{name}: {note}" for name, image in scans for note in image.notes)
+    notes = (*_notes(figures, rig, artefact), *of_the_scans)
     return Acceptance(artefact, tuple(figures), names, tuple(problems), notes)
 
 

@@ -198,7 +198,8 @@ def measure(scanned: Scanned, part: Part) -> Measurement:
             measured = replace(measured, notes=(*measured.notes, note))
         dimensions.append(measured)
     without = (f"measured without intervals: {scanned.why_not}",) if scanned.why_not else ()
-    notes = (*moved, *without)
+    of_the_scan = () if scanned.image is None else (f"the scan: {note}" for note in scanned.image.notes)
+    notes = (*moved, *without, *of_the_scan)
     return Measurement(part, tuple(features[each.name] for each in part.features), tuple(dimensions), notes)
 
 

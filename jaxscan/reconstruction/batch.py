@@ -309,7 +309,7 @@ def reconstruct_one(
         record.write(task.output)
         # What it says of its scan is not said of another that is measured beside it.
         scanner = copy.copy(_scanner(rig, digest, options))
-        written = write_stream([task.output], scanner.scan(scan, advance))
+        written = write_stream([task.output], scanner.scan(scan, advance), lambda: scanner.notes)
         record = replace(
             record,
             size=task.output.stat().st_size,

@@ -61,6 +61,7 @@ class RangeImage:
             it was not asked for.
         width: of the stripe, full at half its height, px; NaN where a pixel near it was full, so that its strength is
             too low; None where it is not known. It is in no file.
+        notes: what the photographs have shown to be wrong in the scan or its settings, a sentence each.
     """
 
     points: Float[np.ndarray, "frames columns 3"]
@@ -76,6 +77,7 @@ class RangeImage:
     colours: UInt8[np.ndarray, "frames columns 3"] | None = None
     albedo: Float[np.ndarray, "frames columns"] | None = None
     width: Float[np.ndarray, "frames columns"] | None = None
+    notes: tuple[str, ...] = ()
 
     @property
     def moving(self) -> tuple[str, ...]:
@@ -127,6 +129,7 @@ class RangeImage:
             light=arrays.light,
             colours=arrays.colours,
             albedo=arrays.albedo,
+            notes=arrays.notes,
         )
 
     @classmethod
@@ -137,7 +140,8 @@ class RangeImage:
         known = [name for name in _BY_FRAME if getattr(parts[0], name) is not None]
         arrays = {name: np.concatenate([getattr(p, name) for p in parts]) for name in known}
         positions = {axis: np.concatenate([p.positions[axis] for p in parts]) for axis in parts[0].positions}
-        return replace(parts[0], **arrays, positions=positions)
+        notes = tuple(dict.fromkeys(note for part in parts for note in part.notes))
+        return replace(parts[0], **arrays, positions=positions, notes=notes)
 
     def where(self, keep: Bool[np.ndarray, "frames columns"]) -> "RangeImage":
         """The same grid with those points alone for which `keep` holds."""
@@ -249,6 +253,7 @@ class RangeImage:
             light=self.light,
             colours=self.colours,
             albedo=self.albedo,
+            notes=self.notes,
         )
 
 
@@ -272,11 +277,16 @@ def write_points(path: str | os.PathLike[str], image: RangeImage) -> None:
 
 
 @contextmanager
-def writing_points(path: str | os.PathLike[str]) -> Iterator[Callable[[RangeImage], None]]:
-    """Write a range image that comes some frames at a time, as `write_points`: the block is given what adds them."""
+def writing_points(
+    path: str | os.PathLike[str], notes: Callable[[], Sequence[str]] = tuple
+) -> Iterator[Callable[[RangeImage], None]]:
+    """Write a range image that comes some frames at a time, as `write_points`: the block is given what adds them.
+
+    A .npz also has what `notes` returns once they have come.
+    """
     if check_ending(path) != ".npz":
         with writing_cloud(path) as add_cloud:
             yield lambda image: add_cloud(image.cloud())
     else:
-        with writing_range_npz(path) as add_arrays:
+        with writing_range_npz(path, notes) as add_arrays:
             yield lambda image: add_arrays(image.arrays())

@@ -3,7 +3,7 @@
 import os
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -61,7 +61,8 @@ def reconstruct(
         return _of_memory(scanner, scan, advance, spacetime, laser, background)
     if laser is not None or background is not None:
         raise InputError("laser= and background= are for photographs in memory: scan.toml names those of a scan")
-    return RangeImage.joined(list(scanner.scan(scan, advance)))
+    image = RangeImage.joined(list(scanner.scan(scan, advance)))
+    return replace(image, notes=tuple(scanner.notes))
 
 
 def _of_memory(
@@ -85,7 +86,7 @@ def _of_memory(
     if not image.valid.any():
         why = "".join(f"; {note}" for note in scanner.notes)
         raise InputError(f"no point was found in any of {len(image.valid)} photographs{why}")
-    return image
+    return replace(image, notes=tuple(scanner.notes))
 
 
 @dataclass(frozen=True)
@@ -109,12 +110,17 @@ class Written:
     reflecting: int | None = None
 
 
-def write_stream(outputs: Sequence[str | os.PathLike[str]], parts: Iterable[RangeImage]) -> Written:
+def write_stream(
+    outputs: Sequence[str | os.PathLike[str]],
+    parts: Iterable[RangeImage],
+    notes: Callable[[], Sequence[str]] = tuple,
+) -> Written:
     """Write a scan of any length while it is read, with the memory of a short one.
 
     Args:
         outputs: .ply or .npz files; at the end each is complete, or does not exist.
         parts: the scan, some frames at a time, as `Scanner.scan` gives it.
+        notes: asked once the last part has come; what it returns is in each .npz, as `Scanner.notes` has it.
 
     Raises:
         InputError: what reading the scan raises, or a file cannot be written.
@@ -122,7 +128,7 @@ def write_stream(outputs: Sequence[str | os.PathLike[str]], parts: Iterable[Rang
     frames = empty = points = full = 0
     coloured = reflecting = None
     with ExitStack() as files:
-        sinks = [files.enter_context(writing_points(path)) for path in outputs]
+        sinks = [files.enter_context(writing_points(path, notes)) for path in outputs]
         for image in parts:
             for add in sinks:
                 add(image)

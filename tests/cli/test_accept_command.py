@@ -3,12 +3,13 @@
 import json
 import re
 import shlex
+from dataclasses import replace
 
 import pytest
 
 from jaxscan.cli.main import main
 from jaxscan.files.rig_file import RigFile, read_rig, write_rig
-from jaxscan.reconstruction import write_points
+from jaxscan.reconstruction import read_range_image, write_points
 from tests.measurement.test_accept import scans
 from tests.test_docs import ROOT, blocks, commands
 
@@ -62,6 +63,12 @@ def test_json_and_a_picture_by_a_rig_without_covariance(plate, capsys):
     assert result["verdict"] == "conforming"
     assert result["places"] == "(1 of the 10 recommended places)"
     assert result["figures"][1]["sigma_rig"] is None
+    noted = replace(read_range_image(plate / "place-1.npz"), notes=("it was dark",))
+    write_points(plate / "noted.npz", noted)
+    assert main(["accept", str(plate / "noted.npz"), *given[2:], "--rig", str(bare)]) == 0
+    assert f"{plate / 'noted.npz'}: it was dark" in json.loads(capsys.readouterr().out)["notes"]
+    assert main(["inspect", str(plate / "noted.npz")]) == 0
+    assert re.search("note +it was dark", capsys.readouterr().out)
     assert any("nothing is predicted by a rig without a covariance" in note for note in result["notes"])
     for one, other in zip(predicted["figures"], result["figures"], strict=True):
         assert one["error"] == pytest.approx(other["error"], abs=2e-3)

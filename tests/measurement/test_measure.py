@@ -285,6 +285,11 @@ def test_without_a_rig_or_sigma_there_are_no_intervals_and_that_is_said(scene):
         assert words in found.notes[0]
 
 
+def test_what_was_noted_of_the_scan_is_said_again(scene):
+    image = replace(as_image(scene.position, STEPS, RIG), notes=("the photographs were denoised",))
+    assert measure(scanned_image(image, KNOWN), PART).notes == ("the scan: the photographs were denoised",)
+
+
 def test_a_section_lies_on_the_surface_between_its_points(scene):
     """Chords over frames 1 mm apart lie up to 0.014 mm inside of a dome of 9 mm."""
     image = as_image(scene.position[::2], STEPS[::2], RIG)
