@@ -23,6 +23,10 @@ _LET_GO_S: Final = 5.0
 _LET_GO_INTERRUPTED_S: Final = 0.2
 # The longest that is waited in one go, of which the time that the process was stopped may be the whole.
 _LOOK_S: Final = 1.0
+# What is stuck uses less of one core than this. On a loaded machine a step of work that goes on takes long: seconds in
+# which the process is busy count a tenth, for work without an end is busy too.
+IDLE: Final = 0.02
+_BUSY_COUNTS: Final = 0.1
 HOW_TO_GO_ON: Final = (
     f"try again, and report it if it comes again; if the machine or the disk is only slow, set {PATIENCE} to more "
     "seconds"
@@ -109,16 +113,19 @@ def result_of(future: "Future[Result]", what: str) -> Result:
         what: the task in words, a file's name for one.
 
     Raises:
-        StalledError: it has not ended in `patience_s` seconds.
+        StalledError: it has not ended in `patience_s` seconds in which the process was idle, or ten times as long.
     """
     limit = patience_s()
-    looks = math.ceil(limit / _LOOK_S)
-    for _ in range(looks):
+    look, waited = limit / math.ceil(limit / _LOOK_S), 0.0
+    while waited < limit:
+        used = time.process_time()
         try:
-            return future.result(limit / looks)
+            return future.result(look)
         except TimeoutError:
             if future.done():  # its own error
                 raise
+        busy = time.process_time() - used > IDLE * look
+        waited += _BUSY_COUNTS * look if busy else look
     raise StalledError(f"{what}: it was worked on for {limit:g} s without an end: {HOW_TO_GO_ON}")
 
 

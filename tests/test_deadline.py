@@ -100,6 +100,23 @@ def test_what_does_not_end_is_named_and_left_behind(monkeypatch):
     stuck.set()
 
 
+def test_work_that_goes_on_has_ten_times_as_long(monkeypatch):
+    """On a loaded machine a step that compiles took more than its time, and the command failed."""
+    monkeypatch.setenv(PATIENCE, "0.2")
+    ended = threading.Event()
+
+    def works() -> None:
+        while not ended.is_set():
+            sum(range(1000))
+
+    with Workers(1) as workers:
+        begin = time.monotonic()
+        with pytest.raises(StalledError):
+            result_of(workers.submit(works), "a step")
+        assert time.monotonic() - begin > 1.5
+        ended.set()
+
+
 @pytest.mark.parametrize("text", ["soon", "0", "-3", "nan", "inf"])
 def test_a_patience_that_is_no_time_is_refused(monkeypatch, text):
     monkeypatch.setenv(PATIENCE, text)

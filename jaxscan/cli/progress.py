@@ -17,7 +17,7 @@ from contextlib import contextmanager, nullcontext
 from typing import Any, Final, TypeVar
 
 from jaxscan.cli.compiled import compiling
-from jaxscan.deadline import HOW_TO_GO_ON, patience_s
+from jaxscan.deadline import HOW_TO_GO_ON, IDLE, patience_s
 
 Item = TypeVar("Item")
 
@@ -29,8 +29,6 @@ _LATER_S: Final = 60.0
 _QUIET_S: Final = 1.0
 _WIDTH, _HEIGHT = 79, 24
 _COMPILING: Final = "compiling, this once"
-# What is stuck uses less of one core than this.
-_IDLE: Final = 0.01
 
 
 class Progress:
@@ -84,7 +82,7 @@ class Progress:
                 print(self.line(), file=sys.stderr, flush=True)
             # Counted and not read from a clock: a process that was stopped, by Ctrl-Z for one, is not stuck.
             calls, idle = self._calls, idle + _PULSE_S if calls == self._calls else 0.0
-            if idle > limit and time.process_time() - self._used < _IDLE * limit:
+            if idle > limit and time.process_time() - self._used < IDLE * limit:
                 self._give_up(limit)
 
     def _give_up(self, limit: float) -> None:
