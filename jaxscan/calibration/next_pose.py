@@ -32,6 +32,7 @@ from jaxscan.calibration.residuals import Blocks, Noise
 from jaxscan.calibration.result import Calibration
 from jaxscan.errors import InputError
 from jaxscan.geometry import Pose
+from jaxscan.kept_programs import compiled
 from jaxscan.precision import as_float64, as_jax, float64
 from jaxscan.rig import BoardShape, Covariance, Light, MovingLight, Rig, System
 from jaxscan.rig.board_shape import BENDS
@@ -270,7 +271,7 @@ def _search(
     return np.asarray(_placed(reach, jnp.asarray(np.resize(best.x, (_AT_ONCE, 6))))[1])[0]
 
 
-@eqx.filter_jit
+@compiled(filtered=True)
 def _placed(reach: Reach, places: Float[Array, "places 6"]) -> tuple[Float[Array, "places"], Float[Array, "places 6"]]:
     """How far each place is beyond the limits, and its pose."""
     return jax.vmap(reach.excess)(places), jax.vmap(reach.pose)(places)
@@ -282,7 +283,7 @@ def _told(scene: Scene, poses: Float[np.ndarray, "poses 6"]) -> Float[np.ndarray
     return np.concatenate([np.asarray(_information(scene, jnp.asarray(part))) for part in padded])[: len(poses)]
 
 
-@eqx.filter_jit
+@compiled(filtered=True)
 def _information(scene: Scene, poses: Float[Array, "poses 6"]) -> Float[Array, "poses leaves leaves"]:
     return jax.vmap(scene.information)(poses)
 
@@ -332,7 +333,7 @@ def _described(
     )
 
 
-@eqx.filter_jit
+@compiled(filtered=True)
 def _shown(scene: Scene, pose: Float[Array, "6"]) -> tuple[Array, Array, Array, Array, Array]:
     """Outline in the image, stripes and their weights, middle and rotation in the camera frame."""
     T = Pose.from_vector(pose)

@@ -13,7 +13,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
-import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import Array, Float
@@ -22,6 +21,7 @@ from jaxscan.calibration.initial import board_poses
 from jaxscan.errors import InputError
 from jaxscan.files.place_checks import PlaceCheck
 from jaxscan.geometry import Pose
+from jaxscan.kept_programs import compiled
 from jaxscan.precision import as_float64, float64
 from jaxscan.rig import Rig
 from jaxscan.rig.projection import pixel_rays
@@ -150,7 +150,7 @@ def _first_pose(
     return np.asarray((there.inverse() @ Pose.from_matrix(R[0], t[0])).as_vector())
 
 
-@eqx.filter_jit
+@compiled(filtered=True)
 def _errors(
     rig: Rig,
     moving: tuple[str, ...],

@@ -23,6 +23,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxscan.errors import InputError
+from jaxscan.kept_programs import compiled
 from jaxscan.precision import Leaf, as_float64, float64
 from jaxscan.reconstruction.field_inverse import FieldInverse, field_inverse
 from jaxscan.reconstruction.opencv_inverse import (
@@ -236,11 +237,11 @@ def _fit(
     return _Fit(factor, powers.T @ chebyshev @ powers, columns @ found)
 
 
-@eqx.filter_jit
+@compiled(filtered=True)
 def _undistorted(lens: Lens, xd: Float[Array, "n 2"]) -> Float[Array, "n 2"]:
     return jax.vmap(lens.undistort)(xd)
 
 
-@eqx.filter_jit
+@compiled(filtered=True)
 def _distorted(lens: Lens, x: Float[Array, "n 2"]) -> Float[Array, "n 2"]:
     return jax.vmap(lens.distort)(x)

@@ -8,7 +8,6 @@ with d its direction, that is (d · X_θ) Σ (d · X_θ)ᵀ + (d · X_s)² σ_s�
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -16,6 +15,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Real
 
 from jaxscan.buckets import bucket
+from jaxscan.kept_programs import compiled
 from jaxscan.precision import as_float64, batches_of, float64
 from jaxscan.rig import Covariance, Motion, MovingLight, Positions, Rig
 from jaxscan.rig.light import inverse_depths
@@ -195,7 +195,7 @@ def motion_shifts(rig: Rig, q: PositionsOfPoints, count: int) -> Float[np.ndarra
     return np.broadcast_to(shifts, (max(len(shifts), count), *shifts.shape[1:]))[:count]
 
 
-@eqx.filter_jit
+@compiled(filtered=True)
 def _motion_shifts(motion: Motion, q: Positions) -> Float[Array, "points 3 numbers"]:
     numbers, unravel = ravel_pytree(motion)
     shifts = jax.jacfwd(lambda other: origin_shift(motion, q, unravel(other)))(numbers)
@@ -209,7 +209,7 @@ def _as_arrays(
     return jnp.asarray(pixels, jnp.float64), {axis: jnp.asarray(steps, jnp.float64) for axis, steps in q.items()}, along
 
 
-@eqx.filter_jit
+@compiled(filtered=True)
 def _jacobians(
     rig: Rig,
     laser: str,

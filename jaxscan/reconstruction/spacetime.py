@@ -38,7 +38,6 @@ sheet is seen some pixels wide.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
@@ -55,6 +54,7 @@ from jaxscan.images.stripes.detectors import Measured, measure
 from jaxscan.images.stripes.surroundings import ambient_levels
 from jaxscan.images.stripes.survey import LEAST_SIGNAL
 from jaxscan.images.stripes.tracks import Tracks, gather_passage, number_scale, passage_windows, survey_passage
+from jaxscan.kept_programs import compiled
 from jaxscan.reconstruction.frames import Frames
 from jaxscan.reconstruction.overlapping import overlapping
 from jaxscan.reconstruction.triangulate import FramePoses, Kernel, triangulate
@@ -266,7 +266,7 @@ def _believed(seen: Measured, farthest: float) -> Lines:
     return jnp.where(seen.whole, jnp.clip(seen.position, -farthest, farthest), 0.0)
 
 
-@jax.jit
+@compiled()
 def carried(geometry: Geometry, u: Lines, v: Lines, frames: Lines | Float[Array, ""]) -> tuple[Lines, Lines]:
     """q(m): where what crosses the sheet at pixel (u, v) is seen `frames` frames later."""
     R, t = geometry.later(jnp.broadcast_to(frames, u.shape))
@@ -274,7 +274,7 @@ def carried(geometry: Geometry, u: Lines, v: Lines, frames: Lines | Float[Array,
     return q[..., 0], q[..., 1]
 
 
-@partial(jax.jit, static_argnames="half")
+@compiled(static_argnames="half")
 def _track(
     geometry: Geometry, u: Lines, v: Lines, half: int
 ) -> tuple[Float[Array, "frames window lines"], Float[Array, "frames window lines"]]:
@@ -291,7 +291,7 @@ def _on_sheet(geometry: Geometry, u: Lines, v: Lines) -> Float[Array, "frames li
     return triangulate(geometry.kernel, still, u, v)
 
 
-@jax.jit
+@compiled()
 def _points(
     geometry: Geometry, frames: FramePoses, u: Lines, v: Lines, after: Lines
 ) -> tuple[Float[Array, "frames lines 3"], Lines]:

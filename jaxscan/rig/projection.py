@@ -6,7 +6,6 @@ compiled function for all of them. A lens of another kind is its own richest.
 """
 
 from dataclasses import dataclass
-from functools import partial
 from typing import Final
 
 import jax
@@ -118,7 +117,7 @@ def _by_ray(
     return pixels, by_ray, by_camera
 
 
-@partial(jax.jit, static_argnums=0)
+@compiled(static_argnames="chart")
 def _charted(
     chart: Chart, points: Float[Array, "batch 3"]
 ) -> tuple[Float[Array, "batch 2"], Float[Array, "batch 2 3"], Float[Array, "batch 3 2"]]:

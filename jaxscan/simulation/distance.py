@@ -22,6 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from jaxscan.kept_programs import compiled
 from jaxscan.precision import float64
 from jaxscan.simulation.mesh import Mesh
 from jaxscan.simulation.plate import Plate
@@ -94,7 +95,7 @@ def _lower_by_creases(
             best[some] = lower
 
 
-@jax.jit
+@compiled()
 def _height(solid: Solid, x: Float[Array, "points 3"]) -> Float[Array, "points"]:
     return solid.height(Vec(x[:, 0], x[:, 1], x[:, 2]))
 
@@ -133,7 +134,7 @@ def _lower_by_edges(
         np.minimum.at(best, point[some], np.asarray(_nearest((solid,), others, candidates, lot))[: len(some)])
 
 
-@jax.jit
+@compiled()
 def _nearest(
     own: tuple[Solid, ...], others: tuple[Solid, ...], candidates: Float[Array, "candidates points 3"], points: Array
 ) -> Float[Array, "points"]:
@@ -148,7 +149,7 @@ def _nearest(
     return jnp.where(there, away, jnp.inf).min(0)
 
 
-@jax.jit
+@compiled()
 def _candidates(solid: Solid, points: Float[Array, "points 3"]) -> Float[Array, "candidates points 3"]:
     if isinstance(solid, Plate):
         return _on_plate(solid, points)
@@ -158,7 +159,7 @@ def _candidates(solid: Solid, points: Float[Array, "points 3"]) -> Float[Array, 
     return points[None] - heights[..., None] * normals
 
 
-@jax.jit
+@compiled()
 def _constraints(
     solid: Solid, x: Float[Array, "points 3"]
 ) -> tuple[Float[Array, "surfaces points"], Float[Array, "surfaces points 3"]]:
@@ -171,7 +172,7 @@ def _constraints(
     return heights, normals / jnp.where(length > 0, length, 1)
 
 
-@jax.jit
+@compiled()
 def _on_edge(solid: Solid, points: Float[Array, "points 3"], pairs: Int[Array, "points 2"]) -> Float[Array, "points 3"]:
     """The nearest point where two surfaces meet, for each point a pair of its own."""
     which = jnp.arange(points.shape[0])

@@ -30,6 +30,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxscan.kept_programs import compiled
 from jaxscan.rig import Light as SheetOfLight
 from jaxscan.simulation.scene import Scene
 from jaxscan.simulation.vector import Rays, Vec, dot, scale, subtract, vec
@@ -102,32 +103,32 @@ class Sheet(NamedTuple):
     fan: Any = None
 
 
-@jax.jit
+@compiled()
 def depth_of(scene: Scene, ray: Sight) -> Float[Array, "*rays"]:
     """Range at which the camera's rays meet the scene, in their length: of (x, y, 1) the depth; infinite for none."""
     return scene.trace(camera_rays(ray))[0]
 
 
-@jax.jit
+@compiled()
 def key_of(scene: Scene, ray: Sight) -> Int[Array, "*rays"]:
     """Body and patch that they meet."""
     return scene.trace(camera_rays(ray))[1]
 
 
-@jax.jit
+@compiled()
 def depth_and_key_of(scene: Scene, ray: Sight) -> tuple[Float[Array, "*rays"], Int[Array, "*rays"]]:
     """Both."""
     return scene.trace(camera_rays(ray))
 
 
-@jax.jit
+@compiled()
 def shade(scene: Scene, light: Light, ray: Sight, depth: Any, key: Any) -> Float[Array, "*rays"]:
     """Brightness of a white body without the laser (grey levels)."""
     normal = scene.normal(_point(ray, depth, key), key)
     return light.ambient + light.directional * jnp.maximum(dot(normal, vec(light.direction)), 0)
 
 
-@jax.jit
+@compiled()
 def glance(scene: Scene, light: Light, ray: Sight, depth: Any, key: Any) -> Float[Array, "*rays"]:
     """Brightness of the lamp's reflection in glossy bodies (grey levels)."""
     point, to_lamp = _point(ray, depth, key), vec(light.direction)
@@ -138,7 +139,7 @@ def glance(scene: Scene, light: Light, ray: Sight, depth: Any, key: Any) -> Floa
     return jnp.where(seen, light.highlight * jnp.exp(-off / light.scatter**2), 0.0)
 
 
-@jax.jit
+@compiled()
 def paint(
     scene: Scene,
     light: Light,
@@ -152,7 +153,7 @@ def paint(
     return jnp.where(key[None] >= 0, colour * reflected, backdrop)
 
 
-@jax.jit
+@compiled()
 def shine(scene: Scene, sheet: Sheet, ray: Sight, depth: Any, key: Any) -> Any:
     """Brightness of a white body by the laser alone, as a part of the laser's power."""
     point = _point(ray, depth, key)
@@ -169,7 +170,7 @@ def shine(scene: Scene, sheet: Sheet, ray: Sight, depth: Any, key: Any) -> Any:
     return jnp.where(lit, facing * spread_out * profile, 0.0)
 
 
-@jax.jit
+@compiled()
 def coarse(
     scene: Scene,
     sheet: Sheet | None,
@@ -192,7 +193,7 @@ def coarse(
     return mask if sheet is None or d is None else mask | (jnp.abs(d) < sheet.reach)
 
 
-@jax.jit
+@compiled()
 def spray(ray: Sight, cells: Int[Array, "cells"]) -> Sight:
     """25 rays through each of a list of cells (indices into the flattened grid).
 
@@ -215,7 +216,7 @@ def spray(ray: Sight, cells: Int[Array, "cells"]) -> Sight:
     return Sight(*(None if part is None else linear(part) for part in ray))
 
 
-@jax.jit
+@compiled()
 def illuminate(
     scene: Scene, sheet: Sheet, laser: Float[Array, "*rays"], key: Int[Array, "*rays"]
 ) -> Float[Array, "rgb *rays"]:
@@ -259,7 +260,7 @@ def _point(ray: Sight, depth: Any, key: Any) -> Vec:
     return camera_rays(ray).at(jnp.where(key >= 0, depth, 1.0))
 
 
-@jax.jit
+@compiled()
 def gather(
     fine: Float[Array, "rgb rows columns"], weights: Float[Array, "taps"]
 ) -> Float[Array, "pixel_rows pixel_columns rgb"]:
@@ -278,7 +279,7 @@ def margin(weights: Any) -> int:
     return -(-(weights.shape[0] // 2 - 1) // FINE)
 
 
-@jax.jit
+@compiled()
 def develop(
     light: Float[Array, "pixel_rows pixel_columns rgb"],
     laser: Float[Array, "pixel_rows pixel_columns rgb"] | None,

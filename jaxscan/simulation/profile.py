@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from jaxscan.kept_programs import compiled
 from jaxscan.precision import as_numpy, float64
 from jaxscan.rig import Camera, Positions, Rig
 from jaxscan.rig.projection import pixel_rays
@@ -139,7 +140,7 @@ def _halve(
     return np.asarray(s), points, np.where(on_sheet, brightness, 0)
 
 
-@jax.jit
+@compiled()
 def _halved(scene: Scene, sheet: Sheet, rays: Sight, before: Bool[Array, "brackets"]) -> Float[Array, "brackets"]:
     """The place in each bracket, by as many halvings as leave nothing of it: one program for all of them."""
 
@@ -152,14 +153,14 @@ def _halved(scene: Scene, sheet: Sheet, rays: Sight, before: Bool[Array, "bracke
     return (low + high) / 2
 
 
-@jax.jit
+@compiled()
 def _ray_at(rays: Sight, s: Float[Array, "brackets"]) -> Sight:
     """The rays at a place between each bracket's start (0) and end (1)."""
     weights = jnp.stack([2 * (s - 0.5) * (s - 1), -4 * s * (s - 1), 2 * s * (s - 0.5)])
     return Sight(*(None if part is None else (weights * part).sum(axis=0) for part in rays))
 
 
-@jax.jit
+@compiled()
 def _closer(sheet: Sheet, ray: Sight, depth: Any, before: Bool[Array, "brackets"], ends: Ends) -> Ends:
     """The half of each bracket in which g changes sign, by the ray in its middle and how far that goes."""
     low, high = ends

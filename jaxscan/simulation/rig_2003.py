@@ -23,6 +23,7 @@ from jaxscan.errors import InputError
 from jaxscan.files.axes import STAGE
 from jaxscan.geometry import Pose, matrix_to_vector, vector_to_matrix
 from jaxscan.images import Board
+from jaxscan.kept_programs import compiled
 from jaxscan.precision import as_numpy, float64
 from jaxscan.rig import BowedSheet, Camera, Light, LightPlane, Linear, Rig, Rotary, run_of, runs
 from jaxscan.simulation.drawn_stage import DrawnStage
@@ -425,6 +426,6 @@ def _pixels(camera: Camera, points: Float[np.ndarray, "*of 3"]) -> Float[np.ndar
     return seen.reshape(*points.shape[:-1], 2)
 
 
-@jax.jit
+@compiled()
 def _project(camera: Camera, points: Float[Array, "points 3"]) -> Float[Array, "points 2"]:
     return jax.vmap(camera.project)(points)

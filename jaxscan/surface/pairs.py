@@ -21,6 +21,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxscan.geometry import Pose, vector_to_matrix
+from jaxscan.kept_programs import compiled
 from jaxscan.precision import float64
 from jaxscan.robust import NORMAL_MAD
 from jaxscan.surface.side import Side
@@ -139,7 +140,7 @@ def equations(a: Side, b: Side, T_a: Pose, T_b: Pose, matches: Matches, centre: 
     return Equations(r, J, sigma, np.clip(1 - u**2, 0, None) ** 2, scale)
 
 
-@jax.jit
+@compiled()
 def _linearised(p: Array, n: Array, q: Array, m: Array) -> tuple[Float[Array, "matches"], Float[Array, "matches 12"]]:
     """Residuals and their derivatives by x ↦ exp(ω) x + τ of each side, at none."""
 

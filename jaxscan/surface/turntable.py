@@ -19,6 +19,7 @@ from jaxscan.errors import InputError
 from jaxscan.files.rig_file import RigFile
 from jaxscan.geometry import Pose
 from jaxscan.geometry.turn import axis_point, rate_of_turn
+from jaxscan.kept_programs import compiled
 from jaxscan.precision import as_numpy, float64
 from jaxscan.rig import Covariance, Rig, Rotary
 from jaxscan.rig.motion import normal_motion
@@ -128,7 +129,7 @@ def _first(
     return np.concatenate([w, around @ c]), around
 
 
-@jax.jit
+@compiled()
 def _misfit(
     theta: Float[Array, "5"],
     poses: Pose[Array],
