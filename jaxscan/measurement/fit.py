@@ -33,6 +33,8 @@ _STILL, _ENOUGH, _ROUGHLY = 1e-13, 1e-6, 1e-4
 # The least that a σ across the surface is of that along the ray: where light grazes, other errors count.
 _BEST: Final = 0.3
 FEWEST: Final = 20
+# A line of light with fewer points of a plane does not count.
+_FEWEST_OF_A_LINE: Final = 5
 # The largest number of rounds that decide which points belong to a shape.
 _OF_ROUNDS: Final = 5000
 # Of how many points halves are taken, and by how much their squares have to fall for another round.
@@ -126,8 +128,12 @@ def settle(
     if grow and (scanned.place is None or scanned.image is None):
         raise InputError("grow = true needs a range image (.npz), whose points have an order: enlarge the region")
     given = candidates
-    start = _concentrated(scanned, guess(kind, scanned.points[given], normal), given)
-    shape, inside, sigma = _by_rounds(scanned, start, given)
+    guessed = guess(kind, scanned.points[given], normal)
+    shape, inside, sigma = _by_rounds(scanned, _concentrated(scanned, guessed, given), given)
+    flat = kind == "plane" and scanned.image is not None
+    if flat and _on_one_line(scanned, given[inside]) and not _on_one_line(scanned, given):
+        # Of few frames a half of the points may be one line, and all of it lies in a plane: the sheet of light.
+        shape, inside, sigma = _by_rounds(scanned, Plane.through(scanned.points[given]), given)
     if region is not None and scanned.stripe is not None and not grow:
         reach = _FAR * sigma * float(np.median(lengths(scanned.stripe[given])))
         candidates = scanned.within(region.wider(reach))
@@ -144,6 +150,11 @@ def settle(
             break
     used = candidates[inside]
     _enough(len(used), len(candidates))
+    if flat and _on_one_line(scanned, used):
+        raise InputError(
+            "its points are of one line of light, through which there are many planes, and of other frames fewer than "
+            f"{_FEWEST_OF_A_LINE} points each: scan in smaller steps, or enlarge its region"
+        )
     return Settled(shape, used, given, sigma, np.zeros(len(used)), np.zeros(len(used)))
 
 
@@ -171,6 +182,12 @@ def _enough(count: int, of: int | None = None) -> None:
             f"{count} points {where}, {FEWEST} or more are needed: enlarge the region, or see that it is in the "
             "object frame, in mm (`jaxscan inspect` says how far the points reach)"
         )
+
+
+def _on_one_line(scanned: Scanned, some: Int[np.ndarray, "some"]) -> bool:
+    """Whether some points are of one frame of a range image, but for a few."""
+    assert scanned.place is not None
+    return bool((np.bincount(scanned.place[some, 0]) >= _FEWEST_OF_A_LINE).sum() < 2)
 
 
 def _concentrated(scanned: Scanned, shape: Shape, candidates: Int[np.ndarray, "candidates"]) -> Shape:

@@ -96,6 +96,13 @@ class Plane(Shape):
 
     numbers: ClassVar[int] = 3
 
+    @classmethod
+    def through(cls, x: Points) -> "Plane":
+        """The plane with the least sum of squared distances to some points."""
+        middle = x.mean(axis=0)
+        size = float(np.linalg.norm(np.ptp(x, axis=0)))
+        return cls(middle, np.linalg.svd(x - middle, full_matrices=False)[2][2], size)
+
     def at(self, x: Points) -> tuple[Float[np.ndarray, "points"], Points]:
         """Along the normal; the normal."""
         return (x - self.point) @ self.axis, np.broadcast_to(self.axis, x.shape)

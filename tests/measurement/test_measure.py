@@ -369,3 +369,30 @@ def test_a_form_of_few_points_is_refused(near, radius, refused):
     (found,) = measure(scanned_image(scan(near, own, np.random.default_rng(4)), own), part).dimensions
     assert (found.value is None) == refused
     assert not refused or "points are too few for a form" in found.problem
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_face_of_few_lines_of_light_is_not_taken_for_the_sheet(near, seed):
+    """All points of a line lie in the sheet: of two or three lines a robust fit took this for the face."""
+    random = np.random.default_rng([7, seed])
+    own = drawn_rig(random, KNOWN)
+    image = scan(near, own, random)
+    part = replace(PART, features=PART.features[1:3], dimensions=PART.dimensions[1:3])
+    low = scanned_image(image, own)
+    frames = low.place[low.within(PART.features[1].region), 0]
+    for count in (1, 2, 3):
+        # Three of which one has more than half of the points.
+        kept = np.unique(frames)[3 : 3 + count]
+        others = np.isin(np.arange(len(image.valid)), np.setdiff1d(frames, kept))
+        keep = ~others[:, None] & np.ones(image.valid.shape, bool)
+        keep[kept[2:], ::3] = keep[kept[:1], ::3] = False
+        some = image.where(keep | ~np.isin(np.arange(len(image.valid)), frames)[:, None])
+        face, found = measure(scanned_image(some, own), part), {}
+        found = {each.dimension.name: each for each in face.dimensions}
+        if count == 1:
+            assert "of one line of light" in face.features[0].problem
+            assert found["step"].value is None
+            continue
+        assert abs(found["step"].value - 4.0) < 4 * found["step"].sigma
+        # From 0 on angles are positive.
+        assert found["angle"].value < 4 * found["angle"].sigma
