@@ -147,7 +147,7 @@ def test_floors_methods_and_options(folder, capsys):
     assert triangles("--method", "delaunay") == pytest.approx(alone, rel=0.05)
     cloud = run(capsys, "mesh", folder / "block.ply", "-o", folder / "cloud.ply")
     assert cloud["triangles"] > 3 * alone
-    assert "looked for in a range image (.npz) alone" in cloud["note"]
+    assert "searched only in a range image (.npz)" in cloud["note"]
     assert "note" not in run(capsys, "mesh", folder / "block.ply", "-o", folder / "cloud.ply", "--floor=keep")
     # A cloud is joined as the light of a rig shows it, with --method delaunay or without.
     write_rig(folder / "lit.json", RigFile(simulated_rig(0)))
