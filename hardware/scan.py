@@ -70,7 +70,7 @@ class Control:
         """
         self._going.wait()
         if self._aborted.is_set():
-            raise StoppedError("the scan was aborted; what it has taken is kept, --resume goes on from there")
+            raise StoppedError("the scan was aborted; what it has taken is kept, --resume continues from there")
 
 
 def take(

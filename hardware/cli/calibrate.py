@@ -21,7 +21,7 @@ from jaxscan.cli.progress import resting
 if TYPE_CHECKING:
     from hardware.guide import Operator, Sight
 
-HELP: Final = "take a calibration session: what to do with the board next, then the axes by themselves"
+HELP: Final = "take a calibration session: what to do with the board next, then the axes automatically"
 EXAMPLE: Final = (
     "scanner calibrate session --board 9x6 --square 16\n"
     "  scanner calibrate session --turntable-frames 32 --turntable-at 48000\n"

@@ -96,7 +96,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
 
         def wait(self) -> None:
             if self.paused:
-                say("paused, the laser is off; fg goes on")
+                say("paused, the laser is off; fg continues")
                 os.kill(os.getpid(), signal.SIGSTOP)
                 self.resume()
             super().wait()
@@ -114,7 +114,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         except KeyboardInterrupt:
             count = f"{len(folder.done.frames)} of {len(folder.plan.places)}"
             say(
-                f"stopped: the axes stand, the laser is off, {count} frames are kept; "
+                f"stopped: the axes are still, the laser is off, {count} frames are kept; "
                 f"to go on: scanner scan {shlex.quote(str(args.folder))} --resume"
             )
             raise

@@ -167,7 +167,7 @@ class Worker:
             self._lock.require(visitor)
             run = self._under_way(number)
             if run.operator is None or not run.operator.answer(go):
-                raise Refusal(CONFLICT, f"job {number} ({run.job.work.kind}) asks for nothing now")
+                raise Refusal(CONFLICT, f"job {number} ({run.job.work.kind}) needs no photograph now")
             return run.job
 
     def pause(self, number: int, visitor: Visitor) -> Job:

@@ -54,7 +54,7 @@ class BiStep2A04(SerialStage):
             # not get through.
             if not honest or stands_at != start or start in _parts(end):
                 raise PositionUncertainError(
-                    f"{self.name}: on the way to {end} the controller came to say {stands_at}, and an order or a "
+                    f"{self.name}: on the way to {end} the controller began to report {stands_at}, and an order or a "
                     "count was garbled: home it, and look after the cable"
                 )
             self._set_pace(expected=start)

@@ -84,8 +84,8 @@ def calibrate(
         lens: a kind of lens: none, radial1, radial2, radial3, brown, rational, fisheye, splined, or one
             that was registered.
         principal_point: "free", or "centre" to hold it at the image centre.
-        start: a camera to start from; its lens takes the place of `lens`. Of a rig its camera; what lights and motion
-            of it are not held is found from the photographs. Without it a closed-form start is used.
+        start: a camera to start from; its lens replaces `lens`. Or a rig: its camera is used, and its lights and motion
+            are found from the photographs unless they are held. Without it a closed-form start is used.
         hold: names of parameters, as in `rig.json`, that keep the value of `start`, those of lights and motion that of
             a rig: `motion.stage.per_step.0`. Without a start lens terms can be held, at 0: `lens="brown",
             hold=["camera.radial.2"]` is k1 k2 p1 p2 with k3 = 0. Zeros of a camera that was read from a file were
@@ -95,18 +95,18 @@ def calibrate(
             and rows, the same in all photographs. "warp": also its twist, and by how much one edge bends more than
             the other. "bend": also how far it bulges in each photograph, and on each axis.
         plain: plain least squares, the estimate that OpenCV and Bouguet's toolbox make: every corner takes part with
-            the same weight. What it gives up: outliers are not left out, a blurred photograph counts like a sharp
-            one, and what the detector knows of each corner is not used.
-        keep: which observations take part, as the `kept` of a finished calibration says it. None of them is then
-            rejected, and nothing else is read, neither for the start nor later; σ and the photographs' weights are
-            estimated as ever.
+            the same weight. Its cost: outliers are not left out, a blurred photograph counts like a sharp one, and the
+            detector's σ of each corner is not used.
+        keep: which observations take part, as in the `kept` of a finished calibration. None of them is then rejected,
+            and no others are read, neither for the start nor later; σ and the photographs' weights are estimated as
+            usual.
         light: the kind of the lasers' light, one of `rig.LIGHTS`: "plane", "bowed", or one that was registered; or one
             for each laser.
         motion: the kind of motion of an axis, by its name, one of `rig.MOTIONS`: "linear", a line; "guide", a bowed
-            one; "screw", whose screw has a period; "screw_on_guide", both; or one that was registered. Of an axis that
-            is not named it is the kind of its photographs.
+            one; "screw", whose screw has a period; "screw_on_guide", both; or one that was registered. An axis that is
+            not named has the kind of its photographs.
         periods: steps of one turn of an axis's screw, by its name, where they are known; else they are found.
-        factors: what is known of the rig in addition to boards and stripes; each with residuals in units of its σ.
+        factors: further knowledge of the rig, in addition to boards and stripes; each with residuals in units of its σ.
         advance: called as each solve begins, with what it is, in words.
 
     Raises:

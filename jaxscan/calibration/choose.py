@@ -52,14 +52,14 @@ def calibrate_by_evidence(
     advance: Callable[[str], object] = lambda doing: None,
     **asked: Any,
 ) -> Calibration:
-    """Calibrate with the model that the photographs ask for; its `choice` says which, and why.
+    """Calibrate with the model that the photographs support; its `choice` says which, and why.
 
     Args:
         observations: corners and stripes.
-        model: where to begin: nothing of it is left out.
-        fixed: parts of it, of `PARTS`, that stay.
+        model: where to start: no part of it is left out.
+        fixed: parts of it, from `PARTS`, that are not changed.
         advance: called as each solve begins, with what it is, in words.
-        asked: other arguments of `calibrate`, but for `keep` and `plain`, with which nothing is judged.
+        asked: other arguments of `calibrate`, except `keep` and `plain`, with which no choice is possible.
 
     Raises:
         InputError: as `calibrate`.
@@ -156,7 +156,7 @@ def _lenses(found: Calibration, model: Model) -> Iterator[tuple[Model, str]]:
     order = list(LADDER)
     if ladder is None or order.index(ladder.supported) <= order.index(model.lens):
         return
-    why = f"the lens leaves {100 * missing.gain:.0f} % of the corners' squared errors to a richer one"
+    why = f"a richer lens would explain {100 * missing.gain:.0f} % of the corners' squared errors"
     yield replace(model, lens=ladder.supported), why
     # What is off centre may be a lens that is, or a sensor.
     if is_off_centre(ladder.supported) and not model.tilted and model.lens != "none":

@@ -134,7 +134,7 @@ class GaugeFit:
         for gauge in self.gauges:
             if gauge.rms_after_mm > _WORSE * gauge.rms_before_mm:
                 found.append(
-                    "The gauge does not have the shape that it is said to have: its points are "
+                    "The gauge does not have the stated shape: its points are "
                     f"{gauge.rms_after_mm:.3f} mm RMS from its surface, and were {gauge.rms_before_mm:.3f} mm from it "
                     "before the rig was refined. Check its dimensions"
                 )
@@ -146,7 +146,7 @@ class GaugeFit:
             ]
             if off := [level for level in gauge.levels if gauge.is_off(level)]:
                 read = ", ".join(f"{level.known_mm:g} reads {level.read_mm:.3f}" for level in off)
-                found.append(f"Levels of the gauge do not go together: {read} mm. Check its dimensions")
+                found.append(f"Levels of the gauge do not fit together: {read} mm. Check its dimensions")
         return tuple(found)
 
     def rig_file(self, fit: dict[str, Any] | None = None, warnings: Sequence[str] = ()) -> RigFile:

@@ -89,7 +89,7 @@ class Hand:
             f"the given poses of {int(self.kept.sum())} photographs scatter by {self.found_mm:.2g} mm and "
             f"{self.found_deg:.2g}° about each axis: at the board's distance from the hand, {self.board_mm:.0f} mm, "
             f"that moves every profile of a scan by {self.profile_mm:.2g} mm of its own"
-            + (f"; fewer than {_FEW_POSES} poses show that badly, so σ may be too small" if self._few else "")
+            + (f"; with fewer than {_FEW_POSES} poses this is poorly known, so σ may be too small" if self._few else "")
         )
 
     @property
@@ -109,8 +109,7 @@ class Hand:
         """What is wrong with the poses, and what to do; the first parts without their full stops."""
         said = [
             (
-                f"The given poses scatter by {found:.2g}{unit}, and {key} = {given:g} says less: the larger number is "
-                "used",
+                f"The given poses scatter by {found:.2g}{unit}, more than {key} = {given:g}: the larger number is used",
                 "Photograph where the robot stands still, and see that board and camera are mounted firmly.",
             )
             for given, found, unit, key in (
@@ -159,7 +158,7 @@ class Hand:
         axes = ", ".join("(" + ", ".join(f"{x:.2f}" for x in way) + ")" for way in self.unknown)
         return [
             f"no pose turned about another direction than {axes} of the {'hand' if self.moves == 'head' else 'base'}, "
-            "so where the hand is along it is not found: scans must turn about it alone too; or photograph the board "
+            "so the place of the hand along it is not found: turn only about it in scans too, or photograph the board "
             "with the hand turned in two directions"
         ]
 

@@ -199,7 +199,7 @@ def hand_eye(kind: type[Motion], seen: Seen, start: Fit, known: tuple[float | No
     for _ in range(_ROUNDS):
         if kept.sum() < _FEWEST:
             raise InputError(
-                f"of {len(kept)} given poses only {int(kept.sum())} go with each other: check that the table has the "
+                f"of {len(kept)} given poses only {int(kept.sum())} fit together: check that the table has the "
                 "pose of each photograph, taken where the robot stood still"
             )
         used = _Weights(kind, seen.only(kept))

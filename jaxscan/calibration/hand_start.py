@@ -54,10 +54,10 @@ def hand_start(kind: type[Motion], seen: Seen, half_turn_mm: Float[np.ndarray, "
     for words, given in (*misread(seen.given), transposed(seen.given)):
         as_meant = replace(seen, given=given)
         if _off(kind, as_meant, _start(kind, as_meant)) < _CLEARLY * min(off, 1 / _CLEARLY):
-            raise InputError(f"the given poses do not go with the photographs, but they do {words}")
+            raise InputError(f"the given poses do not fit the photographs, but they do {words}")
     mm, angle = median_lengths(fit.errors(kind, seen))
     raise InputError(
-        f"the given poses do not go with the photographs: half of them are {mm:.3g} mm or {np.degrees(angle):.2g}° "
+        f"the given poses do not fit the photographs: half of them are {mm:.3g} mm or {np.degrees(angle):.2g}° "
         "off or more: check that each name in the table is that of the photograph taken at this pose, that the board "
         "stayed where it was mounted, and that its squares have the size that [board] says"
     )

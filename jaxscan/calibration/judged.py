@@ -44,7 +44,7 @@ def judged(
         held: names of the rig's parameters that were held.
         unused: what did not take part, in words.
         factors: what else was known.
-        aliases: of screws whose period the photographs leave open, sentences without their full stops.
+        aliases: of screws whose period the photographs do not determine, sentences without their full stops.
         plain: whether every observation took part with the same weight; then σ are not widened.
     """
     result = assemble(refined, free, observations, held, unused, factors)

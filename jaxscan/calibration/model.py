@@ -20,7 +20,7 @@ class Model:
         tilted: whether the sensor is tilted.
         board_shape: of the board.
         lights: the kind of each laser's sheet.
-        motion: the kind of those axes that are not what their photographs say, by their names.
+        motion: the kind of those axes that differ from what their photographs say, by their names.
         periods: steps of one turn of an axis's screw, by its name, where they are known.
     """
 
@@ -117,7 +117,7 @@ class Choice:
     def sentence(self) -> str:
         """What was chosen, and why."""
         if not self.added:
-            return f"{self.model.in_words()}, as asked: nothing that the photographs show asks for more"
+            return f"{self.model.in_words()}, as asked: the photographs show no need for more"
         each = [
             f"{trial.of}, since {trial.why}"
             + (

@@ -101,7 +101,9 @@ def undetermined(
         sigma = float(np.sqrt(np.linalg.eigvalsh(covariance[np.ix_(at, at)])[-1]))
         relative = sigma / float(np.linalg.norm(values[at])) / max(noise_px, 1.0)
         if relative > _LARGEST_RELATIVE_SIGMA:
-            known = f"it is known to {100 * relative:.0f} % of itself" if relative < 1 else "it is lost in the noise"
+            known = (
+                f"its uncertainty is {100 * relative:.0f} % of its value" if relative < 1 else "it is lost in the noise"
+            )
             words = f"{_words(stem)} is not determined, {known}"
             return OpenQuestion(words, tuple(names[i] for i in at))
     return None

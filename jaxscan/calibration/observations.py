@@ -31,7 +31,7 @@ class StripePoints:
         half_width_px: how far the stripe's light reaches to either side; within it the board must have one colour.
         sigmas: σ of each as the detector predicts it, px, where there was one.
         brighter: the colour in which the stripe is far brighter than in that of its laser; None where there is none.
-        odd: whether its cross-section is no bell, all along it.
+        odd: whether its cross-section is not bell-shaped, all along it.
         light: read noise, gain, speckle contrast and saturation of the photograph, where there was a detector.
         widths: full width of the stripe at half its height at each, px, where there was a detector.
         black: which part of the pixels beside it is 0.
@@ -184,10 +184,10 @@ class Unused:
 
 @dataclass(frozen=True)
 class HandSettings:
-    """What is known of what carries head or object by given poses.
+    """What is known of the device that carries head or object by given poses.
 
     Attributes:
-        moves: "head", the camera is on the hand and the board stands, or "object", the board is on the hand.
+        moves: "head": the camera is on the hand and the board is fixed; or "object": the board is on the hand.
         sigma_mm: σ of a given position along each axis; None where it is to be found.
         sigma_deg: σ of a given rotation about each axis; None where it is to be found.
         table: of the poses, a file's name, for errors; "" for none.
@@ -214,10 +214,10 @@ class Observations:
         views: the board held in many poses.
         sequences: of the board on an axis.
         lasers: the names of the lasers, "" for the only one.
-        left_out: what was looked for and not found, in words.
+        left_out: what was searched and not found, in words.
         notes: what a reader should know of the photographs: ambiguities, guesses.
         radius_mm: of a board's circles, whose centres of gravity `corners` are; 0 for points.
-        hand: what is known of what carries head or object, where views have given poses.
+        hand: what is known of the device that carries head or object, where views have given poses.
         light_axes: of each laser whose light is moved, by its name, the axis that moves it.
     """
 

@@ -38,8 +38,8 @@ class OffGrid:
         ]
         what = (
             f"The board's points are not where they should be: off by {' and '.join(off)} (RMS), the same in all "
-            f"photographs, in a way that no shape of the board follows. σ is wider for it, {self.parameter} by the "
-            f"factor {self.ratio:.2g}"
+            "photographs, in a way that no shape of the board describes. σ is widened for it, that of "
+            f"{self.parameter} by the factor {self.ratio:.2g}"
         )
         fix = (
             "Print the pattern on something stiff, glue it down without folds, and measure its squares along both "

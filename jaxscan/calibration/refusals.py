@@ -293,8 +293,8 @@ def _refuse_what_ran_away(refined: Refined, observations: Observations) -> None:
     range_mm = bent_by(np.array([float(term) for term in jax.tree.leaves(shape)]))[0]
     if not range_mm <= _RUN_AWAY * size:
         raise SolveError(
-            f"the board's shape ran away: it came out bent by {range_mm:.3g} mm, over {size:.0f} mm. If the board is "
-            "bent so far, which no shape follows, make it flat. If not, something else does not fit, and the shape "
-            'took it up: calibrate with board_shape = "flat" and see which photographs do not fit, whether all show '
-            "one board, and whether the lens needs more terms"
+            f"the solve for the board's shape diverged: it came out bent by {range_mm:.3g} mm, over {size:.0f} mm. "
+            "If the board is bent so far, which no shape describes, make it flat. If not, something else does not fit, "
+            'and the shape absorbed it: calibrate with board_shape = "flat" and see which photographs do not fit, '
+            "whether all show one board, and whether the lens needs more terms"
         )

@@ -74,15 +74,16 @@ class Calibration:
         corner_sigma_px: σ of a corner along each axis, from the residuals.
         stripe_sigma_px: σ of a stripe point, from the residuals; None without stripes.
         stripe_correlation: how many neighbouring stripe points are worth one, by the correlation of their errors.
-        stripe_sigma_ratio: how far these points scatter in parts of what the detector predicted, where it did.
+        stripe_sigma_ratio: the scatter of these points over the detector's prediction, where there is one.
         corner_rms_px: root mean square distance of the corners that were kept.
         stripe_rms_px: root mean square stripe error of the points that were kept; None without stripes.
         fits: view by view.
         moved_fits: photograph by photograph of the sequences along the axes.
         left_out: photographs and stripes that were not used, and why, in words.
-        rejected: how many corners and stripe points of which photograph that was used were not, and why, in words.
+        rejected: for photographs that were used: how many of their corners and stripe points were not, and why, in
+            words.
         notes: what a reader should know.
-        warnings: what the rig must not be used without knowing; `rig_file` carries it on.
+        warnings: what every user of the rig must know; `rig_file` includes it.
         kept: which points of each photograph took part, in the order of `Observations.photographs`; what `calibrate`
             takes as `keep`.
         adjustment: the last least-squares problem, NumPy leaves; what `refit` takes.
@@ -90,21 +91,22 @@ class Calibration:
         settled: whether they did; otherwise the rounds ended by their number. A solve that reached no minimum is an
             error.
         steps: evaluations of the last solve.
-        flatness: what the residuals say of the board's shape beyond what was followed.
+        flatness: what the residuals say of the board's shape beyond the shape that was solved for.
         plain: whether every observation took part with the same weight.
-        sheet_curves: of sheets of light that were taken as flat and are clearly curved.
-        change: what is another before and behind one of the photographs.
-        undetermined_periods: of screws whose period the photographs leave open, sentences without their full stops.
-        stage_shapes: of axes whose path is not what it was taken for, how it differs.
+        sheet_curves: of sheets of light that were assumed flat and are clearly curved.
+        change: what changed between two of the photographs.
+        undetermined_periods: of screws whose period the photographs do not determine, sentences without their full
+            stops.
+        stage_shapes: of axes whose path differs from the assumed kind, how it differs.
         off_grid: errors of the board's points that all photographs share.
-        drift: what goes on slowly from the first photograph to the last.
+        drift: what changes slowly from the first photograph to the last.
         choice: how the model was chosen, where it was.
         parted: what differs between the two parts of a session that was solved in two, of which this is one.
-        formal_covariance: that of the rig's parameters by noise alone; `covariance` has what `off_grid` and
+        formal_covariance: that of the rig's parameters from noise alone; `covariance` includes what `off_grid` and
             `drift` add.
         held_out: of each photograph, in the order of `Observations.in_order`, −2 log of the density at which the others
             predict it; empty where it was not asked.
-        hand: how well given poses go with the photographs, where photographs have given poses.
+        hand: how well given poses fit the photographs, where photographs have given poses.
     """
 
     rig: Rig

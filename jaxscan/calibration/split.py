@@ -42,8 +42,8 @@ _FEWEST = 2
 _OPEN = "one side alone does not determine it"
 # Arguments of `calibrate` that a split does not take, and why.
 _NOT_TAKEN = {
-    "keep": "a mask of what takes part is of a session that was solved whole",
-    "factors": "what is known of the rig besides would have to be known of one of its two states",
+    "keep": "a mask belongs to a session that was solved whole",
+    "factors": "a factor would have to apply to one of the two states of the rig",
 }
 
 
@@ -71,18 +71,18 @@ def calibrate_split(
     advance: Callable[[str], object] = lambda doing: None,
     **asked: Any,
 ) -> Split:
-    """Calibrate a rig that was changed in the middle of its session, before and behind the change.
+    """Calibrate a rig that was changed in the middle of its session, before and after the change.
 
     Which parts differ (focal lengths, principal point, distortion, each sheet of light, each axis, the board on the
-    axis where it was changed) is chosen by an information criterion; all else is found from both sides together. What
-    one side does not show, it has from the other, and its warnings say so. A board on an axis whose photographs are
-    on both sides has a place of its own on each.
+    axis where it was changed) is chosen by an information criterion; everything else is found from both sides together.
+    What one side does not show is taken from the other, and its warnings say so. A board on an axis whose photographs
+    are on both sides has its own place on each.
 
     Args:
         observations: corners and stripes, of all photographs.
-        photograph: the name of the first one behind the change, in the order of `Observations.in_order`.
+        photograph: the name of the first one after the change, in the order of `Observations.in_order`.
         advance: called as each solve begins, with what it is, in words.
-        asked: other arguments of `calibrate`, but for `keep` and `factors`.
+        asked: other arguments of `calibrate`, except `keep` and `factors`.
 
     Raises:
         InputError: there is no such photograph, a side shows too little to be compared, or as `calibrate`.

@@ -87,7 +87,7 @@ def lent(parts: Sequence[Part], photograph: str, later: bool) -> tuple[str, ...]
     reasons = [f"{part.seen_by(photograph, later)}, and {part.fewest} are needed" for part in own]
     where = f"before {photograph}" if later else f"from {photograph} on"
     return tuple(
-        f"{each} ({reason}): taken from the photographs {where}. If that was changed too, this rig has it as it was "
+        f"{each} ({reason}): taken from the photographs {where}. If it changed too, this rig has the value from "
         f"{'before' if later else 'later'}"
         for each, reason in _together(own, reasons)
     )

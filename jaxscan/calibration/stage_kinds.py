@@ -128,8 +128,8 @@ def first_approach(observations: Observations, as_lines: Calibration) -> tuple[O
                 sequences[i] = replace(sequence, positions={**sequence.positions, run_of(axis): runs})
                 side = "rising" if runs[0] > 0 else "falling"
                 said.append(
-                    f"{sequence.views[0].name}: the first photograph on the {axis} stands as one approached by {side} "
-                    "steps, unlike the second, and was taken so"
+                    f"{sequence.views[0].name}: the first photograph on the {axis} is where one approached by {side} "
+                    "steps would be, unlike the second, and was treated as such"
                 )
     return replace(observations, sequences=tuple(sequences)), said
 

@@ -48,12 +48,13 @@ class StageOrder:
     def statement(self) -> tuple[str, str]:
         """What is the case, and what to do."""
         what = (
-            f"The photographs on the {self.axis} do not go with their step counts: the board stood "
+            f"The photographs on the {self.axis} do not fit their step counts: the board was "
             f"{self.error:.2g}{self.unit} RMS away from where they say, and {self.sorted_error:.2g}{self.unit} "
             f"{correction(self.names, self.by_place)}"
         )
         return what, (
-            "Photograph names that sort otherwise than they were taken do this: correct images or steps under "
+            "This happens if the names of photographs sort in another order than they were taken: correct images or "
+            "steps under "
             f"[{self.axis}] in session.toml."
         )
 

@@ -62,16 +62,17 @@ class StageShape:
             )
         if self.period_steps is not None:
             said.append(
-                f"is ahead of its steps and behind them by {self.wave_mm:.2g} ± {self.wave_sigma_mm:.1g} mm, with a "
+                f"is alternately ahead of its steps and behind them by {self.wave_mm:.2g} ± {self.wave_sigma_mm:.1g} "
+                "mm, with a "
                 f"period of {self.period_steps:.5g} steps, as of a screw's turn"
             )
         if self.play_mm:
             much = f"{abs(self.play_mm):.2g} mm farther {'on' if self.play_mm > 0 else 'back'}"
             said.append(
                 f"has a play of {self.play_mm:.3g} ± {self.play_sigma_mm:.1g} mm ({self.play_steps:.3g} steps): "
-                f"photographs approached by falling steps stand {much} than those approached by rising ones"
+                f"photographs approached by falling steps are {much} than those approached by rising ones"
             )
-        what = f"The {self.axis} {', and '.join(said)}; it was taken as {_TAKEN[self.taken]}"
+        what = f"The {self.axis} {', and '.join(said)}; it was assumed to be {_TAKEN[self.taken]}"
         uneven = ""
         if self.aliases:
             uneven = f". {aliases_in_words(self.aliases)}"

@@ -38,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         nargs="*",
         metavar="SURFACE",
-        help="range images (.npz) of the artefact, one for each place; none: tell of the history alone",
+        help="range images (.npz) of the artefact, one for each place; none: show only the history",
     )
     parser.add_argument(
         "--artefact", type=Path, metavar="FILE", help="artefact.toml: certified values, and the maker's limits"
@@ -54,9 +54,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="?",
         const=Path(_HISTORY),
         metavar="FILE",
-        help=f"add the test to this file (default: {_HISTORY}), or without SURFACE tell how the figures have changed",
+        help=f"add the test to this file (default: {_HISTORY}), or without SURFACE show how the figures have changed",
     )
-    parser.add_argument("--report", type=Path, metavar="DIR", help="write DIR/report.html, which prints, and its JSON")
+    parser.add_argument(
+        "--report", type=Path, metavar="DIR", help="write DIR/report.html, ready to print, and its JSON"
+    )
     parser.add_argument("--png", type=Path, metavar="OUT", help="draw the figures, or without SURFACE their drift")
 
 
@@ -134,7 +136,7 @@ def _written(args: argparse.Namespace, found: "Acceptance") -> list[str]:
 
 def _drift(args: argparse.Namespace) -> dict[str, Any]:
     if args.history is None:
-        raise InputError("there is no SURFACE: name range images of the artefact, or --history to tell of the tests")
+        raise InputError("there is no SURFACE: name range images of the artefact, or --history to show earlier tests")
     if args.artefact or args.rig:
         raise InputError("--artefact and --rig belong to a test: name its range images too, or leave them out")
     check_outputs([], args.png, [args.history])
@@ -214,13 +216,15 @@ def _changes_in_words(result: dict[str, Any]) -> list[str]:
         lines.append(text + (": HAS CHANGED" if each["real"] else ""))
         if each["between"]:
             date, change = each["between"]
-            lines.append(f"    in between, on {date[:10]}, it was {change:+.4f} mm off, which is gone")
+            lines.append(f"    in between, on {date[:10]}, it was {change:+.4f} mm off; now it is not")
     if any(each["real"] for each in result["changes"]):
-        lines.append("what has changed is more than noise, places and rig explain: calibrate again, then test again")
+        lines.append("the changes are larger than noise, places and rig explain: calibrate again, then test again")
     elif any(each["between"] for each in result["changes"]):
-        lines.append("what was off and is no more: what was scanned meanwhile is as far off; find out what moved")
+        lines.append(
+            "figures that were off are right again: scans from that time are off by as much; find out what moved"
+        )
     elif result["changes"]:
         lines.append("nothing has changed by more than its uncertainty")
     else:
-        lines.append("a change needs two tests by one artefact")
+        lines.append("a change needs two tests with the same artefact")
     return lines

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 # After this number of scans in a row that found no room no other is begun.
 _FULL_IN_A_ROW: Final = 4
 
-HELP: Final = "reconstruct every scan of a tree, here or on a cluster, and go on where it stopped"
+HELP: Final = "reconstruct every scan of a tree, here or on a cluster, and continue where it stopped"
 EXAMPLE: Final = "jaxscan batch scans --rig rig.json -o clouds"
 
 
@@ -45,7 +45,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="of a Dask scheduler whose workers see the same files, as tcp://host:8786",
     )
     parser.add_argument(
-        "--again", action="store_true", help="also what is there already, of the same scan, rig and options"
+        "--again",
+        action="store_true",
+        help="make results again that are there already, from the same scan, rig and options",
     )
     parser.add_argument(
         "--measure",
@@ -117,7 +119,7 @@ def _reconstructed(args: argparse.Namespace, log: "Log") -> None:
             advance(1)
             full = full + 1 if os.strerror(errno.ENOSPC) in outcome.reason else 0
             if full == _FULL_IN_A_ROW:
-                say("jaxscan: the disk is full: the scans that are left wait for the same command once more")
+                say("jaxscan: the disk is full: make room, then run the same command again for the remaining scans")
                 break
 
 

@@ -63,9 +63,9 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     if args.reference is None and not args.region:
         raise InputError("give a REFERENCE to compare the cloud with, or a --region to measure")
     if args.reference is None and (args.fit or args.output or args.png):
-        raise InputError("--fit, --output and --png are about a REFERENCE: name one")
+        raise InputError("--fit, --output and --png need a REFERENCE: name one")
     if args.reference is None and args.reference_units:
-        raise InputError(f"--reference-units {args.reference_units} is about a REFERENCE: name one, or leave it out")
+        raise InputError(f"--reference-units {args.reference_units} needs a REFERENCE: name one, or leave it out")
     for *_, radius in args.region or []:
         if not radius > 0:
             raise InputError(f"--region: its radius is {radius:g} mm: give X,Y,Z,R with R more than 0")
@@ -131,7 +131,7 @@ def _other_things(cloud: Path, median_mm: float, size_mm: float) -> str:
     """What is said where a fit has not carried the cloud onto the reference."""
     return (
         f"half of the points are more than {median_mm:.3g} mm off after the fit, and the reference is {size_mm:.3g} mm "
-        "large: the fit failed, or other things are in the cloud, as a floor: compare what "
+        "large: the fit failed, or there are other things in the cloud, such as a floor: compare what "
         f"`jaxscan mesh {cloud.stem}.npz -o object.npz` leaves, or cut the rest away (--crop of jaxscan mesh)"
     )
 
@@ -322,7 +322,7 @@ def describe(result: dict[str, Any]) -> str:
             lines.append("  reference  is inside out, and was turned")
         if result["on_floor"]:
             lines.append(
-                f"  floor      {100 * result['on_floor']:.0f} % of the points lie on one plane, the floor as it seems, "
+                f"  floor      {100 * result['on_floor']:.0f} % of the points lie on one plane, apparently the floor, "
                 f"and count; without it: jaxscan mesh {result['path']} -o object.npz, then compare object.npz"
             )
         if result["written"]:

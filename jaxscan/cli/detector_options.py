@@ -36,7 +36,8 @@ def add_depths_argument(parser: argparse.ArgumentParser) -> None:
         type=numbers(2, not_nan, "numbers"),
         metavar="NEAR,FAR",
         help="how near and how far along the optical axis (of a fisheye, from the camera) there can be a stripe, mm; "
-        "what is bright elsewhere is none (default: from 1 / 1.5 of the nearest to 1.5 times the farthest stripe of "
+        "anything bright elsewhere is ignored (default: from 1 / 1.5 of the nearest to 1.5 times the farthest stripe "
+        "of "
         "the calibration; 0,inf: anywhere)",
     )
 

@@ -135,8 +135,9 @@ def add_estimate_arguments(parser: argparse.ArgumentParser) -> None:
         choices=("auto", "given"),
         default="auto",
         help="auto (the default): begin with what the session says of lens, board, sheet and stage, and add what the "
-        "photographs ask for: more terms of the lens, a board that bends, a sheet that is bowed, a stage that is no "
-        "line. It is added where photographs that were held out are predicted better with it, and the result says what "
+        "photographs ask for: more terms of the lens, a board that bends, a sheet that is bowed, a stage that is not "
+        "straight. Each is added where photographs that were held out are predicted better with it, and the result "
+        "says what "
         "and why; what an option names stays as it is. given: only what session and options say",
     )
     parser.add_argument(
@@ -144,7 +145,7 @@ def add_estimate_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="LENS",
         help="none, radial1, radial2, radial3, brown, rational, fisheye or splined, in place of the session's "
         "(default: radial1); splined has a smooth field of shifts on top of brown's terms, for a lens that no formula "
-        "follows; --camera brings its own",
+        "describes; --camera brings its own",
     )
     parser.add_argument(
         "--hold",
@@ -192,8 +193,8 @@ def add_estimate_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="KIND",
         help="how the stage moves, in place of the session's: linear, a line in equal steps (the default); guide, a "
         "bowed path on which the load turns; screw, to and fro about equal steps with the turns of its screw; "
-        "screw_on_guide, both; each of these with _with_play behind its name, as linear_with_play: by play it stands "
-        "elsewhere when it comes back, which photographs there and back show",
+        "screw_on_guide, both; each of these with _with_play behind its name, as linear_with_play: with play it stops "
+        "elsewhere when it comes back, which photographs in both directions show",
     )
     parser.add_argument(
         "--since",
@@ -229,7 +230,7 @@ def estimate_asked(args: argparse.Namespace) -> Estimate:
         raise InputError(f"--hold and --free both name {', '.join(both)}: keep one of them")
     if args.split is not None and args.since is not None:
         raise InputError(
-            f"--split {args.split} and --since {args.since}: one solves the photographs before as a part of their own, "
+            f"--split {args.split} and --since {args.since}: one solves the photographs before as a separate part, "
             "the other leaves them out: keep one of them"
         )
     if args.lens is not None:

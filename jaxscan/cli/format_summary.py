@@ -161,7 +161,7 @@ def _rig(summary: Summary) -> Iterator[Line]:
         if name.startswith("board_") or name in ("pose_range", "pose_offset_unknown"):
             continue
         if name == "sigma_over_noise_alone":
-            yield "σ", f"{min(value.values()):.2g} to {max(value.values()):.2g} times as wide as noise alone has it"
+            yield "σ", f"{min(value.values()):.2g} to {max(value.values()):.2g} times as large as from noise alone"
         elif name == "sheet_sigma_mm":
             yield "sheet's thickness", ", ".join(f"σ {each:.2g} mm" if each else "not known" for each in value)
         else:
@@ -351,7 +351,7 @@ def _axis(summary: Summary) -> Iterator[Line]:
         yield "", f"the {what} {place} in the camera's frame, turned by {_turn(summary)}"
         if ways := summary["hand_open_along"]:
             axes = " and ".join("(" + ", ".join(f"{x:.2f}" for x in way) + ")" for way in ways)
-            yield "", f"along {axes} of its own axes this place is not found, for nothing turned there"
+            yield "", f"along {axes} of its own axes this place is not found, because nothing turned there"
     else:
         yield summary["axis"], f"{summary['kind']}, {summary['way']}"
 

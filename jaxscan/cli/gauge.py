@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from jaxscan.files.rig_file import RigFile
     from jaxscan.rig import Covariance, Rig
 
-HELP: Final = "put a rig's light plane and stage right by scans of objects of known shape"
+HELP: Final = "correct a rig's light plane and stage by scans of objects of known shape"
 EXAMPLE: Final = (
     "jaxscan gauge scans/block --rig rig.json --shape steps:1.48,3.68,8.94,14.00 -o refined.json\n"
     "  jaxscan gauge scans/block scans/turned --shape steps:1.48,14.00 --session session --trust laser stage -o a.json"
@@ -209,8 +209,8 @@ def _doubts(
     from jaxscan.calibration.gauge_shapes import Steps
 
     found = [
-        f"Of a plate's scan {gauge.rejected} points lie elsewhere, and {gauge.points} on it: what was scanned is no "
-        "plate alone. Give its shape, as steps:H1,H2"
+        f"Of a plate's scan {gauge.rejected} points lie elsewhere, and {gauge.points} on it: the scan shows more than "
+        "a plate. Give its shape, as steps:H1,H2"
         for gauge, shape in zip(fit.gauges, shapes, strict=True)
         if isinstance(shape, Steps) and not shape.size and gauge.rejected > gauge.points
     ]

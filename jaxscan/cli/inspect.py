@@ -14,7 +14,7 @@ from jaxscan.extras import extra
 from jaxscan.files.formats import ENDINGS
 from jaxscan.missing import no_such_file
 
-HELP: Final = "say in words what a session, scan, rig, camera, cloud, range image or mesh holds"
+HELP: Final = "describe in words what a session, scan, rig, camera, cloud, range image or mesh contains"
 EXAMPLE: Final = "jaxscan inspect scans/cup --frame 12 --png cup-12.png"
 
 _DEFAULT: Final = "-"
@@ -121,7 +121,7 @@ def _kind(path: Path) -> tuple[str, Path]:
     kinds |= dict.fromkeys((".stl", ".obj", ".glb"), "mesh")
     if ending not in kinds:
         raise InputError(
-            f'{path}: nothing is known of the ending "{ending}": '
+            f'{path}: there is no format with the ending "{ending}": '
             "name a session or scan (folder or .toml), a rig (.json), "
             "points or a mesh (.ply, .stl, .obj, .glb), a range image (.npz), "
             f"or a camera of another program ({', '.join(ENDINGS)})"

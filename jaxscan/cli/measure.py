@@ -31,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_units_argument(parser, "a cloud or mesh")
     parser.add_argument("--csv", type=Path, metavar="FILE", help="write a table with a line for each dimension")
     parser.add_argument(
-        "--report", type=Path, metavar="DIR", help="write DIR/report.html, which prints, and report.json"
+        "--report", type=Path, metavar="DIR", help="write DIR/report.html, ready to print, and report.json"
     )
     parser.add_argument("--png", type=Path, metavar="OUT", help="draw the features over the surface")
 

@@ -62,7 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--as-given",
         action="store_true",
         help="leave the scans where --poses or --steps put them, or else, as with --turn 0, where they are: for two "
-        "lasers of one rig, and for what is round or flat and slides; the report says how they fit",
+        "lasers of one rig, and for round or flat objects, which slide; the report says how they fit",
     )
     parser.add_argument(
         "--fit-turntable",
@@ -72,11 +72,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--write-rig", type=Path, metavar="OUT", help="write the rig with that turntable")
     parser.add_argument(
-        "--floor", choices=("auto", "keep"), default="auto", help="auto (default): found and taken away | keep"
+        "--floor", choices=("auto", "keep"), default="auto", help="auto (default): found and removed | keep"
     )
     parser.add_argument("--raw", action="store_true", help="keep mixed, grazing and isolated points")
     parser.add_argument(
-        "--closed", action="store_true", help="close what was not seen, by screened Poisson (extra poisson)"
+        "--closed", action="store_true", help="close parts that were not seen, by screened Poisson (extra poisson)"
     )
     parser.add_argument(
         "--cube", type=finite, metavar="MM", help="distance of the vertices (default: 0.7 of the points')"
@@ -371,9 +371,7 @@ def describe(result: dict[str, Any]) -> str:
     if result["coloured"] and kept:
         lines.insert(2, f"  colours    of {result['coloured']} of its points, in {' and '.join(kept)}")
     if not result["converged"]:
-        lines.append(
-            f"  not settled: {result['rounds']} rounds did not suffice; the poses and their σ are not to be relied upon"
-        )
+        lines.append(f"  not settled: {result['rounds']} rounds did not suffice; do not rely on the poses or their σ")
     for scan in scans[1:]:
         known = "as given"
         if scan["sigma_mm"] is not None:
@@ -395,7 +393,7 @@ def _pairs_in_words(result: dict[str, Any]) -> list[str]:
     """How the scans fit each other."""
     scans, pairs = result["scans"], result["pairs"]
     if not pairs:
-        return ["  pairs      no two overlap: nothing says whether the poses are right"]
+        return ["  pairs      no two overlap, so the poses cannot be checked"]
     apart = f"{result['closure_mm']:.3f} mm: the furthest that a pair alone would"
     lines = [
         f"  pairs      {len(pairs)} overlap; distances scatter by {result['residual_in_sigma']:.2f} σ, "

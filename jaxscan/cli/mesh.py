@@ -44,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--floor",
         default="auto",
         metavar="FLOOR",
-        help="auto (default): found and taken away | keep | a scan of the bare stage (.npz): heights are above its "
+        help="auto (default): found and removed | keep | a scan of the bare stage (.npz): heights are above its "
         "points, flat or not | three or more points of it, X,Y,Z:X,Y,Z:X,Y,Z (mm)",
     )
     parser.add_argument(
@@ -54,9 +54,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--plateau-area", type=finite, metavar="MM2", help="of the smallest plateau (default: 20 mm²)")
     parser.add_argument("--raw", action="store_true", help="keep mixed, grazing and isolated points")
-    parser.add_argument("--crop", type=numbers(6), metavar="X,Y,Z,X,Y,Z", help="the points within this box alone (mm)")
+    parser.add_argument("--crop", type=numbers(6), metavar="X,Y,Z,X,Y,Z", help="only the points within this box (mm)")
     parser.add_argument(
-        "--every", type=numbers(2, int), metavar="F,C", help="every F-th frame and every C-th column alone"
+        "--every", type=numbers(2, int), metavar="F,C", help="only every F-th frame and every C-th column"
     )
     parser.add_argument("--grid", type=finite, metavar="MM", help="resample from above on a regular grid")
     parser.add_argument("--fill", type=finite, metavar="MM", help="fill holes of up to this size")
@@ -111,7 +111,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
             step("joining the points")
             mesh, painted = surface_of_cloud(cloud, args), cloud
             if args.floor != "keep":
-                result["note"] = "a floor and stray points are kept: they are looked for in a range image (.npz) alone"
+                result["note"] = "a floor and stray points are kept: they are searched only in a range image (.npz)"
         if args.simplify is not None:
             step(f"reducing {len(mesh.faces)} triangles")
             mesh = simplified(mesh, args.simplify)
@@ -266,12 +266,12 @@ def describe(result: dict[str, Any]) -> str:
         if floor.get("points_beside_the_scan"):
             lines.append(
                 f"             {floor['points_beside_the_scan']} points lie beside the scan of the stage: "
-                "they were held against the plane through it"
+                "they were compared with the plane through it"
             )
     if (result.get("degrees_apart") or 0.0) > WIDE_APART_DEG:
         lines.append(
-            f"  coarse     the frames are {result['degrees_apart']:.1f} degrees of a turn apart, and what lies between "
-            f"them is a guess: scan in steps of {WIDE_APART_DEG:g} degrees or less"
+            f"  coarse     the frames are {result['degrees_apart']:.1f} degrees of a turn apart, and the surface "
+            f"between them is a guess: scan in steps of {WIDE_APART_DEG:g} degrees or less"
         )
     if "seen_times" in result:
         lines.append(

@@ -59,7 +59,7 @@ def check_rig_name(path: Path) -> None:
 
 def add_units_argument(parser: argparse.ArgumentParser, what: str, option: str = "--units") -> None:
     """Declare in which unit of length what is read is given."""
-    words = f"unit of length of {what} (default: mm; what is less than 2 mm across is pointed out)"
+    words = f"unit of length of {what} (default: mm; an object less than 2 mm across is reported)"
     parser.add_argument(option, choices=("mm", "cm", "m", "inch"), help=words)
 
 

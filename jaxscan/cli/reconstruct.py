@@ -43,8 +43,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--spacetime",
         action="store_true",
-        help="measure when the light passes over each point of the surface, and not where it is in each frame: right "
-        "at borders of prints and of the object too; needs a scan in small, equal steps",
+        help="measure when the light passes over each point of the surface, instead of where it is in each "
+        "frame: right at borders of prints and of the object too; needs a scan in small, equal steps",
     )
     add_depths_argument(parser)
     parser.add_argument(
@@ -81,7 +81,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         check_exchange(path)
     check_outputs(args.output)
     if args.laser_at and not args.albedo:
-        raise InputError("--laser-at: only --albedo asks where the laser stands: add it, or leave --laser-at out")
+        raise InputError("--laser-at: only --albedo uses the place of the laser: add it, or leave --laser-at out")
     paint = Paint(args.colour, args.albedo, args.laser_at)
     done, scanner = reconstruct_scan(
         args.scan, args.rig, args.output, args.detector, args.stripe, args.spacetime, depths_of(args), paint

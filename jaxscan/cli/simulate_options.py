@@ -81,7 +81,7 @@ def add_world_arguments(parser: argparse.ArgumentParser) -> None:
         default=0.0,
         metavar="LEVELS",
         help="make the object glossy: grey levels of the lamp's reflection in it at its brightest, which lies under "
-        "the stripe on what is level; from about 250 on the spot is burnt out (default: 0, matt)",
+        "the stripe on level surfaces; from about 250 on the spot is burnt out (default: 0, matt)",
     )
     parser.add_argument(
         "--ghost",
@@ -152,8 +152,8 @@ def add_world_arguments(parser: argparse.ArgumentParser) -> None:
         type=finite,
         default=0.0,
         metavar="MM",
-        help="give the stage so much play: what it carries stands so much farther on when it comes back; its "
-        "photographs of the board go there and back then, its scans only there (default: 0)",
+        help="give the stage so much play: its load is this much farther on when it comes back; the board is "
+        "then photographed in both directions, and scans go in one (default: 0)",
     )
     parser.add_argument(
         "--shake-mm",

@@ -188,4 +188,4 @@ def _found(
 def _kept_at_zero(path: Path, zeros: Sequence[str]) -> str:
     """The note on terms that a file has as 0."""
     are = "is" if len(zeros) == 1 else "are"
-    return f"{', '.join(zeros)} {are} 0 in {path} and stayed 0: to have one found, name it with --free"
+    return f"{', '.join(zeros)} {are} 0 in {path} and stayed 0: to estimate one, name it with --free"

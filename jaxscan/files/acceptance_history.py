@@ -28,7 +28,7 @@ def read_history(path: str | os.PathLike[str]) -> list[dict[str, Any]]:
     file = Path(path)
     try:
         if file.stat().st_size > _LONGEST:
-            raise InputError(f"{path}: is larger than {_LONGEST >> 20} MiB, which no history is: check the name")
+            raise InputError(f"{path}: is larger than {_LONGEST >> 20} MiB, too large for a history: check the name")
         text = file.read_text(encoding="utf-8")
     except FileNotFoundError as error:
         raise InputError(f"{path}: there is no such history: test with --history {path}, which begins it") from error

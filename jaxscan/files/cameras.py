@@ -25,8 +25,8 @@ def read_camera(
         image_size: columns and rows, where the file (OpenCV's need not) has none.
 
     Raises:
-        InputError: whatever is wrong with the file, or a term of its model that jaxscan has not: the key, and
-            how to fix it.
+        InputError: whatever is wrong with the file, or a term of its model that jaxscan lacks: the key, and how to fix
+            it.
     """
     return read_camera_file(path, name=name, image_size=image_size).the_camera(Path(path))
 
@@ -35,7 +35,7 @@ def write_camera(path: str | os.PathLike[str], camera: Camera, *, format: str | 
     """Write a camera, whole or not at all; reading it again gives the same numbers, bit for bit.
 
     Args:
-        path: the file. Its ending names the format, but for .yml and .yaml, which three programs use.
+        path: the file. Its ending determines the format, except for .yml and .yaml, which three programs use.
         camera: the camera.
         format: "rig", "bouguet", "opencv", "ros", "kalibr" or "mrcal".
 

@@ -124,7 +124,7 @@ def read_ply(path: str | os.PathLike[str]) -> Cloud:
     """Read the points of a PLY file, whatever else it holds.
 
     Raises:
-        InputError: the file is missing, is no PLY, is cut short, holds no points, or a coordinate is not finite.
+        InputError: the file is missing, is not a PLY, is cut short, holds no points, or a coordinate is not finite.
     """
     return cloud_of(path, read_ply_file(path))
 

@@ -29,7 +29,7 @@ def files_of(table: Table, key: str) -> tuple[Path, ...]:
     """The files of a glob, sorted naturally, or of a list of names, in its order.
 
     Raises:
-        InputError: a glob that matches nothing or what is no file, a file that stands twice, or one that is not there.
+        InputError: a glob that matches nothing or what is no file, a file that appears twice, or one that is not there.
     """
     value = table.values.get(key)
     if isinstance(value, str) and value:
@@ -39,7 +39,7 @@ def files_of(table: Table, key: str) -> tuple[Path, ...]:
     seen: set[str] = set()
     for name, path in zip(names, paths, strict=True):
         if (real := os.path.realpath(path)) in seen:
-            raise table.error(key, f"{show(name)} stands twice: name each photograph once")
+            raise table.error(key, f"{show(name)} appears twice: name each photograph once")
         seen.add(real)
     return paths
 

@@ -112,7 +112,7 @@ def _variable(body: bytes, order: str, wanted: re.Pattern[str]) -> tuple[str, np
         return text, None
     kind, numbers = next(parts, (0, b""))
     if kind not in _TYPES:
-        raise _DamagedError(f"{text} holds numbers of the type {kind}, which there is not")
+        raise _DamagedError(f"{text} holds numbers of the type {kind}, which does not exist")
     values = np.frombuffer(numbers, order + _TYPES[kind]).astype(np.float64)
     if shape.min() < 0 or int(shape[0]) * int(shape[1]) != values.size:
         raise _DamagedError(f"{text} holds {values.size} numbers for {shape[0]} × {shape[1]}")

@@ -142,7 +142,7 @@ def _lines(path: Path, text: str) -> dict[str, Pose[np.ndarray]]:
         if len(values) not in _COUNTS or any(value is None for value in values):
             raise InputError(f"{where}: is {line.strip()!r:.80}, but {_SHAPES} is expected")
         if name in poses:
-            raise InputError(f"{where}: {name} stands twice: keep one of them")
+            raise InputError(f"{where}: {name} appears twice: keep one of them")
         pose = np.array(values, np.float64)
         poses[name] = _pose(where, pose[order] if order and len(pose) == len(order) else pose)
     return poses

@@ -64,14 +64,14 @@ def check_covariance(table: Table, names: list[Any], parameters: list[str]) -> F
         parameters: the names that the rig has.
 
     Raises:
-        InputError: a name that the rig has not or that stands twice, a matrix that is not square, not symmetric or
+        InputError: a name that the rig has not or that appears twice, a matrix that is not square, not symmetric or
             not positive semidefinite.
     """
     for i, name in enumerate(names):
         if name not in parameters:
             raise table.error("parameters", f"this rig has no {show(name)}; it has {', '.join(parameters)}")
         if name in names[:i]:
-            raise table.error("parameters", f"{show(name)} stands twice: name each parameter once")
+            raise table.error("parameters", f"{show(name)} appears twice: name each parameter once")
     matrix = _square(table, len(names))
     deviation = np.sqrt(np.abs(np.diag(matrix)))
     scaled = matrix / np.outer(scale := np.where(deviation > 0, deviation, 1.0), scale)

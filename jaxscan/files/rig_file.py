@@ -49,8 +49,8 @@ class RigFile:
     Attributes:
         rig: the rig, with NumPy float64 leaves.
         covariance: that of the rig's parameters, where it is known.
-        fit: how the fit went: `corner_rms_px`, `stripe_rms_px`, `views` and whatever else the calibration had to say.
-            `warnings`, if there, are sentences that every user of the rig has to see.
+        fit: the quality of the fit: `corner_rms_px`, `stripe_rms_px`, `views` and what else the calibration reports.
+            `warnings`, if present, are sentences that every user of the rig must see.
     """
 
     rig: Rig
@@ -59,14 +59,14 @@ class RigFile:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What is known against the rig, in words; empty for most."""
+        """Warnings about the rig, in words; empty for most."""
         return tuple(self.fit.get("warnings", ()))
 
 
 def read_rig(path: str | os.PathLike[str]) -> RigFile:
     """Read and check a rig file.
 
-    Keys that this version does not know are passed over with a `PassedOverWarning` that names them.
+    Keys that this version does not know are ignored, with a `PassedOverWarning` that names them.
 
     Raises:
         InputError: whatever is wrong with the file: what it is, the key, and how to fix it.
@@ -75,7 +75,7 @@ def read_rig(path: str | os.PathLike[str]) -> RigFile:
 
 
 def write_rig(path: str | os.PathLike[str], content: RigFile) -> None:
-    """Write a rig file, whole or not at all. What could not be read again is refused.
+    """Write a rig file, whole or not at all. A rig that could not be read again is refused.
 
     Raises:
         InputError: the rig or its covariance is not sound, or the file cannot be written.
@@ -101,7 +101,7 @@ def _decode(table: Table) -> RigFile:
     content = RigFile(rig, _covariance(table, rig, names, unknown), _fit(table, len(rig.lights)))
     if unknown:
         keys = ", ".join(unknown)
-        warnings.warn(f"{table.path}: passed over what this version does not know: {keys}", PassedOverWarning, 3)
+        warnings.warn(f"{table.path}: ignored keys that this version does not know: {keys}", PassedOverWarning, 3)
     return content
 
 

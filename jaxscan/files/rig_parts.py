@@ -95,7 +95,7 @@ def read_motion(tables: Sequence[Table], unknown: list[str]) -> Motion:
     for table in tables:
         axis = read_axis_name(table)
         if axis in [part.axis for part in parts]:
-            raise table.error("axis", "stands twice: give each axis a name of its own")
+            raise table.error("axis", "appears twice: give each axis a name of its own")
         kind = MOTIONS[_kind(table, MOTIONS)]
         parts.append(_part(table, kind, unknown, axis=axis))
         travel = next(iter(kind.numbers))

@@ -35,10 +35,10 @@ class Scan:
         path: its TOML file.
         laser: how to look for the stripe.
         frames: the photographs in their order; a scan cut off before its first has none. Empty for a video.
-        video: the video file whose frames take the place of `frames`.
+        video: the video file whose frames replace `frames`.
         axes: for each axis its position at each frame, motor steps; empty for a video with `rules`.
-        rules: of a video whose number of frames is not known before it is decoded: for each axis where it starts and
-            how far it goes from one frame to the next. Empty where `axes` says it.
+        rules: for a video whose number of frames is not known before it is decoded: for each axis its start and its
+            increment from one frame to the next. Empty where `axes` has the positions.
         backgrounds: the scene with the laser off: none, one for all frames, or one for each.
         exposures_s: exposure time of each frame, where it matters.
         name: what was scanned, or "".
@@ -75,7 +75,7 @@ class Scan:
 
     @property
     def moving(self) -> tuple[str, ...]:
-        """The axes that do not stand still all the time."""
+        """The axes that move at some time."""
         by_rule = tuple(axis for axis, rule in self.rules.items() if rule.per_frame)
         return by_rule + tuple(axis for axis, n in self.axes.items() if not is_detail(axis) and len(set(n)) > 1)
 
@@ -83,11 +83,11 @@ class Scan:
 def read_scan(path: str | os.PathLike[str]) -> Scan:
     """Read and check a scan, given its folder or its `scan.toml`.
 
-    Frames that lie beside the listed ones but are not listed are passed over with a `PassedOverWarning`.
+    Frames in the same folder that are not listed are ignored, with a `PassedOverWarning`.
 
     Raises:
-        InputError: whatever is wrong: file, key, value, and how to fix it. That all photographs are of one size is not
-            looked at here: whoever decodes them sees it (or `common_size`, for the price of opening each).
+        InputError: whatever is wrong: file, key, value, and how to fix it. Whether all photographs have one size is not
+            checked here but when they are decoded (or by `common_size`, which has to open each).
     """
     scan, by_list = _read(Path(path))
     # A glob says by itself what is left out; a list is what the hardware had made durable when it was cut off.
@@ -226,5 +226,5 @@ def _say_unlisted(scan: Scan) -> None:
         others = [path for path in folder.iterdir() if path.suffix in endings and str(path) not in listed]
         if others:
             others.sort(key=lambda path: natural_key(path.name))
-            text = f"{scan.path}: passed over what lies in {folder} but is not listed: {name_some(others)}"
+            text = f"{scan.path}: ignored files in {folder} that are not listed: {name_some(others)}"
             warnings.warn(text, PassedOverWarning, 3)

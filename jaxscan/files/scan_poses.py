@@ -75,7 +75,7 @@ def _of_conf(path: Path, text: str) -> dict[str, Pose]:
         if words[0] != "bmesh" or len(words) != _CONF_WORDS:
             raise InputError(f"{path}: {where}: is {line!r}, but bmesh NAME tx ty tz qi qj qk qw is expected")
         if words[1] in poses:
-            raise InputError(f"{path}: {where}: {words[1]} stands twice: keep one of them")
+            raise InputError(f"{path}: {where}: {words[1]} appears twice: keep one of them")
         try:
             values = np.array([float(word) for word in words[2:]])
         except ValueError as error:

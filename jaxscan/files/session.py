@@ -95,14 +95,14 @@ class Session:
         path: its TOML file.
         board: the board.
         views: the board held in many poses.
-        camera: what is to be found of the camera.
+        camera: what to estimate of the camera.
         stage: the board on the stage, where the rig has one.
         turntable: the board on the turntable, where the rig has one.
-        lasers: how to look for the stripe of each laser; none for a rig without a laser.
+        lasers: how to search for the stripe of each laser; none for a rig without a laser.
         sheets: the kind of each laser's sheet of light, in their order; empty where all are planes.
         light_axes: of each laser whose light is moved, by its name, the axis that moves it.
         image_size: columns and rows of all its photographs.
-        board_shape: what of the board's shape is to be found, one of `BOARD_SHAPES`.
+        board_shape: which shape of the board to estimate, one of `BOARD_SHAPES`.
         poses: those of the views, the last, for which a pose is given.
     """
 
@@ -121,13 +121,13 @@ class Session:
 
     @property
     def sequences(self) -> dict[str, StageImages]:
-        """Those of the board on an axis that there are, by the axis's name."""
+        """Those of the board on an axis, by the axis's name."""
         each = zip(SEQUENCES, (self.stage, self.turntable), strict=True)
         return {axis: sequence for axis, sequence in each if sequence is not None}
 
     @property
     def counts(self) -> dict[str, int]:
-        """How many photographs of the board there are on each axis."""
+        """The number of photographs of the board on each axis."""
         return {axis: len(sequence.images) for axis, sequence in self.sequences.items()}
 
     def photographs(self) -> list[Path]:
@@ -143,7 +143,7 @@ class Session:
 def read_session(path: str | os.PathLike[str], *, whole: bool = True) -> Session:
     """Read and check a session, given its folder or its `session.toml`.
 
-    Every photograph is seen to be there and of one size; none is decoded.
+    It is checked that every photograph exists and that all have one size; none is decoded.
 
     Args:
         path: of the folder, or of its `session.toml`.
@@ -165,7 +165,7 @@ def read_session(path: str | os.PathLike[str], *, whole: bool = True) -> Session
     lasers, sheets, axes, stripes, sweeps = read_lasers(table, views, boards)
     if posed is not None:
         if axes:
-            raise InputError(f"{table.path}: [{POSES}]: a light that is swept goes with boards under [views] alone")
+            raise InputError(f"{table.path}: [{POSES}]: a light that is swept needs boards under [views] only")
         boards, stripes = _with_posed(posed, lasers, boards, stripes)
     moved = read_stage(table, lasers, axes), read_turntable(table, lasers, axes)
     session = Session(

@@ -30,7 +30,7 @@ def read_toml(path: Path, wanted: str = "another file") -> Table:
 
 
 def read_json(path: Path, wanted: str = "another file") -> Table:
-    """The outermost table of a JSON file, in which no key stands twice; `wanted` as `read_toml` has it.
+    """The outermost table of a JSON file, in which no key appears twice; `wanted` as `read_toml` has it.
 
     Raises:
         InputError: the file is missing, not text, not JSON, or not an object; the text says where.
@@ -42,7 +42,7 @@ def read_json(path: Path, wanted: str = "another file") -> Table:
 
 
 def read_json_value(path: Path, wanted: str = "another file") -> Any:
-    """What a JSON file holds: an object, in which no key stands twice, a list, or whatever it is; `wanted` as above.
+    """What a JSON file holds: an object, in which no key appears twice, a list, or whatever it is; `wanted` as above.
 
     Raises:
         InputError: the file is missing, not text, or not JSON; the text says where.
@@ -119,5 +119,5 @@ def _without_twins(path: Path, pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     values = dict(pairs)
     if len(values) != len(pairs):
         twin = next(key for key, count in Counter(key for key, _ in pairs).items() if count > 1)
-        raise InputError(f'{path}: the key "{twin}" stands twice in one object: keep one of them')
+        raise InputError(f'{path}: the key "{twin}" appears twice in one object: keep one of them')
     return values

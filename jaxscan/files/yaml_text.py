@@ -110,7 +110,7 @@ def _key(event: yaml.NodeEvent, holder: dict[str, Any]) -> str:
     if not isinstance(event, yaml.ScalarEvent):
         raise yaml.YAMLError(f"{_line(event)} has a table or a list for a key: write a word")
     if event.value in holder:
-        raise yaml.YAMLError(f"the key {event.value} stands twice in one table, again in {_line(event)}")
+        raise yaml.YAMLError(f"the key {event.value} appears twice in one table, again in {_line(event)}")
     return event.value
 
 

@@ -68,7 +68,7 @@ def find_board(board: Board, image: Image) -> BoardView | None:
         image: (rows, columns), or (rows, columns, 3) with red, green and blue; 8 or 16 bits.
 
     Raises:
-        InputError: the array is no photograph.
+        InputError: the array is not a photograph.
     """
     if image.dtype not in (np.uint8, np.uint16) or image.ndim not in (2, 3) or image.shape[2:] not in ((), (3,)):
         raise InputError(

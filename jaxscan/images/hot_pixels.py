@@ -59,9 +59,10 @@ class HotPixels:
         if count < _LEAST or share < _PER_MILLION:
             return []
         return [
-            f"{count} pixels ({share:.0f} in a million) are bright in every photograph, each by itself: hot pixels of "
-            "the sensor; they are taken for the mean of the pixels beside them. Those that are less bright stay, and "
-            "σ does not know of them: switch on the camera's correction of defective pixels, expose for less time, or "
+            f"{count} pixels ({share:.0f} in a million) are bright in every photograph, isolated from each other: hot "
+            "pixels of the sensor. They are replaced by the mean of the pixels beside them. Less bright ones remain, "
+            "and σ does not include them: switch on the camera's correction of defective pixels, expose for less "
+            "time, or "
             "name a photograph with the lens covered as background in scan.toml"
         ]
 

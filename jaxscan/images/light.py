@@ -70,7 +70,7 @@ def no_bell(odd: Sequence[bool], black: Sequence[float], photographs: str) -> st
     first, later = (f"{level} ({cut:.0%} of the pixels are 0), ", "") if cut > _MANY_BLACK else ("", f"{level}, ")
     return (
         f"cross-section is not bell-shaped, all along it, in {count} of {len(odd)} {photographs}: its place may be "
-        "off, by the same amount everywhere, which a calibration with this laser takes up, and σ is not to be trusted: "
-        f"too large, of a burnt-out stripe perhaps too small: {first}focus camera and laser, clean lens and laser, dim "
+        "off, by the same amount everywhere, which a calibration with this laser absorbs, and σ is not reliable: too "
+        f"large, for a burnt-out stripe perhaps too small: {first}focus camera and laser, clean lens and laser, dim "
         f"a burnt-out line, switch off a gamma curve in the camera, {later}or use a laser of a single mode"
     )

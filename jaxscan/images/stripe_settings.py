@@ -12,7 +12,7 @@ COLORS: Final = (*CHANNELS, "grey")
 
 @dataclass(frozen=True)
 class StripeSettings:
-    """How the stripe is looked for: the `[laser]` section of a session or scan.
+    """How the stripe is searched: the `[laser]` section of a session or scan.
 
     Attributes:
         color: of the laser; grey for a monochrome camera.

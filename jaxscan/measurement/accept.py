@@ -145,13 +145,13 @@ def accept(scans: Sequence[tuple[str, RangeImage]], rig: RigFile, artefact: Arte
     if not names:
         raise InputError("there are no scans: name one or more range images (.npz) that show the artefact")
     if len(set(names)) < len(names):
-        raise InputError("one scan is named twice: name each once, for each is a place of its own")
+        raise InputError("one scan is named twice: name each once, because each counts as one place")
     first: dict[bytes, str] = {}
     for name, image in scans:
         same = first.setdefault(image.points[image.valid].tobytes(), name)
         if same != name:
             raise InputError(
-                f"{name}: holds the same points as {same}: leave it out, for each scan is a place of its own"
+                f"{name}: holds the same points as {same}: leave it out, because each scan counts as one place"
             )
     figures: list[AcceptanceFigure] = []
     problems: list[str] = []

@@ -42,7 +42,7 @@ class DimensionGradient:
 
 
 def dimension_gradient(calibration: Calibration, dimension: MeasuredDimension) -> DimensionGradient:
-    """How a dimension follows the corners and stripes of the photographs that its rig was calibrated from.
+    """The derivative of a dimension by the corners and stripes of the photographs that its rig was calibrated from.
 
     Args:
         calibration: whose rig the scan was reconstructed and measured with.
@@ -71,7 +71,7 @@ def _gradient(adjustment: Adjustment, b: Float[Array, "leaves"]) -> Float[Array,
 
 
 def narrowed(calibration: Calibration, dimension: MeasuredDimension) -> dict[str, float]:
-    """σ that the rig leaves a dimension if one photograph of the views were taken once more, by its name.
+    """The rig's part of a dimension's σ if one photograph of the views were taken again, by its name.
 
     The smallest is that of the photograph that narrows it most. Where none of them does, `next_pose.suggest` with
     `by_rig` as what is wanted looks for a pose that does.

@@ -138,7 +138,7 @@ class Measurement:
 
     @property
     def every_note(self) -> tuple[str, ...]:
-        """What is to be said of all of it and of its dimensions, each sentence once."""
+        """The notes on all of it and on its dimensions, each sentence once."""
         return tuple(dict.fromkeys((*self.notes, *(note for each in self.dimensions for note in each.notes))))
 
     @property
@@ -357,7 +357,7 @@ def _refuse_lines_that_meet(of: list[MeasuredFeature], shapes: Shapes) -> None:
 
 
 def _of_form(base: MeasuredDimension, form: Form, largest: float) -> MeasuredDimension:
-    note = f"of means over {form.patches} patches: shorter waves are not seen"
+    note = f"from means over {form.patches} patches: shorter waves are not seen"
     u = form.uncertainty
     interval = None if u is None else (max(form.value - u, 0.0), form.value + u)
     return replace(base, value=form.value, uncertainty=u, interval=interval, form_mm=largest, notes=(*base.notes, note))

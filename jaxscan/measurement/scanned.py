@@ -116,7 +116,7 @@ class Scanned:
 
 
 def scanned_points(points: Float[np.ndarray, "points 3"], mesh: trimesh.Trimesh | None = None) -> Scanned:
-    """Points of which nothing else is known, or the corners of a mesh.
+    """Points without further information, or the corners of a mesh.
 
     Raises:
         InputError: there are none.
@@ -133,9 +133,9 @@ def scanned_image(image: RangeImage, rig: RigFile | None = None, part: Part | No
 
     Args:
         image: as it was reconstructed; it may be cropped or cleaned.
-        rig: by which it was reconstructed. Without its covariance nothing has an interval. Without a rig it is
-            not known either where errors move a point to, and round shapes come out too large.
-        part: what will be measured: points that no feature looks for are left aside, which saves time.
+        rig: with which it was reconstructed. Without its covariance nothing has an interval. Without a rig the
+            direction in which errors move a point is not known either, and round shapes come out too large.
+        part: what will be measured: points that no feature uses are ignored, which saves time.
 
     Raises:
         InputError: there are no points, or the rig is not the one that they come from.

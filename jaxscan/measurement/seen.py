@@ -40,8 +40,8 @@ def seen_part(shape: Shape, x: Float[np.ndarray, "points 3"]) -> tuple[str, ...]
 
 def _sentence(how_much: str) -> str:
     return (
-        f"only {how_much} was seen, so that radius and place are known together rather than each: the interval is "
-        "wide; enlarge the region, or scan from another side too"
+        f"only {how_much} was seen, so radius and place cannot be separated well: the interval is wide; enlarge the "
+        "region, or scan from another side too"
     )
 
 

@@ -70,7 +70,7 @@ def volume_above(scanned: Scanned, plane: Fit, known: Known, alike: Alike) -> Vo
         slope = (area / 3)[:, None] * n + sign * (mean / 2)[:, None] * np.cross(n, opposite)
         np.add.at(by_point, corners[:, k], slope)
     value = float((mean * area).sum())
-    notes = ("what the scan has not seen, such as undercuts, counts as the triangles over it do",)
+    notes = ("parts that the scan has not seen, such as undercuts, count as the triangles over them do",)
     if scanned.by_rig is None or scanned.stripe is None or known.by_rig is None:
         return Volume(value, 0.0, None, notes)
     # By the plane: heights, and by its turns the areas as seen along its normal too.

@@ -136,7 +136,7 @@ def find_tasks(scans: Path, out: Path, ending: str = ".ply") -> Tree:
         InputError: the tree is no folder, holds no scan, or two of its scans would be written to one file.
     """
     if not scans.is_dir():
-        raise InputError(f"{scans}: is no folder: name the folder that the scans lie in")
+        raise InputError(f"{scans}: is not a folder: name the folder with the scans")
     refused: list[tuple[str, str]] = []
 
     def unreadable(error: OSError) -> None:

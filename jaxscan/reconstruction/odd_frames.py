@@ -69,10 +69,10 @@ def _odd(stripes: Float[np.ndarray, "frames lines"], shown: list[int], usual: fl
     some = first_few([f"{names[i]} ({px:.0f} px from theirs)" for i, px, _ in odd], _NAMED)
     do = "does" if len(odd) == 1 else "do"
     return [
-        f"the stripe of {some} {do} not go with those before and after it, which lie within "
+        f"the stripe of {some} {do} not fit those before and after it, which are within "
         f"{max(agree for *_, agree in odd):.1f} px of each other: check that only this laser was on and that nothing "
-        "was pushed; leave such photographs and their steps out of scan.toml. Only where a narrow rib fills the "
-        "photograph is nothing wrong"
+        "was pushed; leave such photographs and their steps out of scan.toml. Nothing is wrong only if a narrow rib "
+        "fills the photograph"
     ]
 
 

@@ -32,8 +32,8 @@ class PointCovariance:
     """The covariance of points of the object frame, mm².
 
     Attributes:
-        rig: what comes from the rig's parameters: common to all points, and so no noise that an average removes.
-        pixel: what comes from the stripe's position in this very photograph.
+        rig: what comes from the rig's parameters: common to all points, so an average does not remove it.
+        pixel: what comes from the stripe's position in this photograph.
     """
 
     rig: Float[np.ndarray, "points 3 3"]

@@ -59,7 +59,7 @@ def check_poses(content: RigFile, scan: Scan) -> None:
         near = [(usual.outside(meant), words) for words, meant in misread(given) if odd and _is_near(usual, meant)]
         if near:
             # In centimetres, and in inches, both may be near: the nearest.
-            said = f"the poses do not go with those of the calibration, but they do {min(near)[1]}"
+            said = f"the poses do not fit those of the calibration, but they do {min(near)[1]}"
             raise InputError(f"{scan.path}: [scan] {POSES}: {said}")
     unknown = np.array(content.fit.get("pose_offset_unknown", []), float).reshape(-1, 3)
     if not len(unknown):

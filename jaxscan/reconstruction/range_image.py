@@ -53,7 +53,7 @@ class RangeImage:
         valid: where there is a point.
         positions: motor steps of each axis at each frame, and the run of one that has play (`rig.run_of`).
         motion: what carried the object, by these positions; `Fixed` where it is not known.
-        sheets: the light in which the object was seen; none where it is not known.
+        sheets: the light in which the object was seen; empty where it is not known.
         light: read noise, gain, speckle contrast and saturation of each frame (`images.light`), where they are known.
         colours: red, green and blue of each point without the laser, as photographed, 8 bits; 0, 0, 0 for a point
             without a colour; None where there are none.
@@ -81,7 +81,7 @@ class RangeImage:
 
     @property
     def moving(self) -> tuple[str, ...]:
-        """The axes that do not stand still all the time."""
+        """The axes that move at some time."""
         axes = {axis: np.asarray(steps) for axis, steps in self.positions.items() if not is_detail(axis)}
         return tuple(axis for axis, steps in axes.items() if len(set(steps.tolist())) > 1)
 
@@ -144,7 +144,7 @@ class RangeImage:
         return replace(parts[0], **arrays, positions=positions, notes=notes)
 
     def where(self, keep: Bool[np.ndarray, "frames columns"]) -> "RangeImage":
-        """The same grid with those points alone for which `keep` holds."""
+        """The same grid with only those points for which `keep` is true."""
         valid = self.valid & keep
         points = np.where(valid[..., None], self.points, np.float32(np.nan))
         return replace(self, points=points, valid=valid)
@@ -261,7 +261,7 @@ def read_range_image(path: str | os.PathLike[str]) -> RangeImage:
     """Read a range image from its NPZ file.
 
     Raises:
-        InputError: the file is missing or is no range image.
+        InputError: the file is missing or is not a range image.
     """
     return RangeImage.of(path, read_range_npz(path))
 

@@ -46,8 +46,8 @@ def reconstruct(
         choice: which stripe is taken where a line has several.
         spacetime: measure the time at which the light's centre passes each point; needs a scan in small, equal steps.
         depths_mm: nearest and farthest depth at which there can be a stripe, as `Scanner` has it.
-        laser: of photographs in memory: which, and how its stripe is looked for; by default one red laser, and a point
-            for each column.
+        laser: of photographs in memory: which laser, and how its stripe is searched; by default one red laser, and a
+            point for each column.
         background: of photographs in memory: the scene with the laser off.
 
     Returns:

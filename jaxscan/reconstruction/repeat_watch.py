@@ -60,10 +60,10 @@ class RepeatWatch:
         if not self._repeated or 2 * sum(self._noise) <= len(self._noise):
             return []
         names = [path.name for path in frames] or [f"frame {i}" for i in range(self._count)]
-        pairs = list(dict.fromkeys(f"{names[i]} is {names[i - 1]} once more" for i in self._repeated))
-        more = f", and {len(pairs) - _NAMED} more are" if len(pairs) > _NAMED else ""
+        pairs = list(dict.fromkeys(f"{names[i]} is a copy of {names[i - 1]}" for i in self._repeated))
+        more = f", and {len(pairs) - _NAMED} more are copies" if len(pairs) > _NAMED else ""
         return [
             f"{', '.join(pairs[:_NAMED])}{more}, to the last bit, which noise never is: the camera or its driver gave "
-            "a photograph twice. If it stands instead of another, leave it and its step out of scan.toml; if it "
-            "was put in between, all that follow stand a step off: leave it and the last step out, or scan again"
+            "a photograph twice. If it replaces another photograph, leave it and its step out of scan.toml; if it was "
+            "inserted, all that follow are one step off: leave it and the last step out, or scan again"
         ]

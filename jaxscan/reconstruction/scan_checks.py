@@ -114,8 +114,8 @@ def check_axes(rig: Rig, moving: Sequence[str], named: Sequence[str], where: str
         carried = [p.axis for p in turned if p.axis in moving]
         if carried and part.axis not in named:
             raise InputError(
-                f"{where} the {carried[0]} moves, and it is not said where the "
-                f"{part.axis} stands that carries it: add {part.axis} = its motor steps, 0 if it stood at 0"
+                f"{where} the {carried[0]} moves, and the position of the {part.axis} that carries it is not given: "
+                f"add {part.axis} = its motor steps, 0 if it was at 0"
             )
 
 
@@ -174,14 +174,15 @@ def way_notes(rig: Rig, scan: Scan) -> list[str]:
             )
         if whole > 360 + apart:
             notes.append(
-                f"the {axis} turns by {whole:.0f} degrees, more than one full turn: what was seen twice stands "
-                "twice, and is one surface again in jaxscan mesh. If it turned once, the steps given for each frame "
+                f"the {axis} turns by {whole:.0f} degrees, more than one full turn: places that were seen twice have "
+                "points twice, and jaxscan mesh makes one surface of them. If it turned once, the steps given for "
+                "each frame "
                 f"are wrong: a full turn is {360 / step:.0f}"
             )
         if apart > WIDE_APART_DEG:
             notes.append(
-                f"the frames are up to {apart:.1f} degrees of the {axis} apart: profiles so far from each other make "
-                f"points, and no surface; take one every {WIDE_APART_DEG:g} degrees"
+                f"the frames are up to {apart:.1f} degrees of the {axis} apart: profiles so far from each other give "
+                f"points, but no surface; take one every {WIDE_APART_DEG:g} degrees"
                 + (f", {int(WIDE_APART_DEG / step)} steps, or fewer" if step <= WIDE_APART_DEG else " or fewer")
             )
     return notes
@@ -196,8 +197,8 @@ def sweep_notes(content: RigFile, scan: Scan) -> list[str]:
         if beyond > _BEYOND * (most - least):
             notes.append(
                 f'axis "{axis}" goes from {min(steps)} to {max(steps)} steps, the calibration from {least:g} to '
-                f"{most:g}: beyond, errors grow as σ says, and faster if the axis is not the one that was fitted: "
-                "count its steps from the same place as in the session, or calibrate over the whole sweep"
+                f"{most:g}: beyond that range errors grow as σ says, and faster if the axis is not the one that was "
+                "fitted: count its steps from the same place as in the session, or calibrate over the whole sweep"
             )
     return notes
 

@@ -63,7 +63,7 @@ def left_out_notes(
         )
     if weak > _WORTH_A_NOTE * points:
         notes.append(
-            f"{weak} lines, {weak / (weak + points):.0%} of those with a stripe, show it too weak to distinguish from "
+            f"{weak} lines, {weak / (weak + points):.0%} of those with a stripe, have one too weak to distinguish from "
             "noise: expose longer, open the lens, or take the laser nearer"
         )
     return notes
@@ -78,8 +78,8 @@ def gap_notes(scan: Scan) -> list[str]:
         return []
     under = "steps" if list(moving) == [STAGE] else f"[scan.axes] {' and '.join(moving)}"
     return [
-        f"{gap[1].name} follows {gap[0].name}, as if photographs were missing, but the axis is said to have moved "
-        f"evenly from each to the next: put them there, or list where it stood for each photograph under {under}"
+        f"{gap[1].name} follows {gap[0].name}, as if photographs were missing, but by scan.toml the axis moved evenly "
+        f"from each to the next: put them there, or list its position for each photograph under {under}"
     ]
 
 
@@ -102,8 +102,8 @@ def background_notes(rig: Rig, scan: Scan) -> list[str]:
     if len(scan.backgrounds) != 1 or object_stands(rig, scan) or is_dark_frame(read_image(scan.backgrounds[0])):
         return []
     return [
-        f"{scan.backgrounds[0].name} is subtracted from all frames, but the object moves, and where it stood in that "
-        "photograph it leaves its shape in every other: take one with the laser off at each step, or leave background "
+        f"{scan.backgrounds[0].name} is subtracted from all frames, but the object moves, and leaves its shape from "
+        "that photograph in every other one: take one with the laser off at each step, or leave background "
         "out of scan.toml"
     ]
 
@@ -154,6 +154,6 @@ def channels_note(
     swapped = {shown, laser.color} == {"red", "blue"}
     turn = "turn photographs that OpenCV has read, which are BGR, with image[..., ::-1]; or " if swapped else ""
     return (
-        f"the stripe is looked for in {laser.color}, and the photographs show it in {shown}: {turn}give "
+        f"the stripe is searched in {laser.color}, but the photographs show it in {shown}: {turn}give "
         f'laser=StripeSettings(color="{shown}")'
     )

@@ -111,7 +111,7 @@ def _cameras(motion: Motion, positions: Mapping[str, Float[np.ndarray, "frames"]
 
 def _by(light: Light) -> str:
     """Words that follow "but 0.1 %"."""
-    return f'by the light of laser "{light.name}": look which laser was on, and name it in [laser]'
+    return f'by the light of laser "{light.name}": check which laser was on, and name it in [laser]'
 
 
 def _met(light: Light, seen: _Seen) -> _Seen:
@@ -132,7 +132,7 @@ def _mended(
     if axis != POSES:
         yield (
             f"in the reverse order: the {axis} moved the other way than its steps say, or the photographs are sorted "
-            "the wrong way round, and the surface is mirrored",
+            "in the reverse order, and the surface is mirrored",
             backwards,
         )
         return

@@ -38,8 +38,8 @@ def spacetime_geometry(rig: Rig, scan: Scan) -> tuple[Geometry, float]:
         )
     if isinstance(rig.light(scan.laser.name), MovingLight):
         raise InputError(
-            f"{scan.path}: [scan] the light moves and the object stands: spacetime analysis is there for objects that "
-            "move alone: leave --spacetime out"
+            f"{scan.path}: [scan] the light moves and the object stands: spacetime analysis works only if the object "
+            "moves: leave --spacetime out"
         )
     places = [scan.positions[group.start] for group in step_groups(scan)]
     _check_enough(scan, len(places), _LEAST_SIGMA)

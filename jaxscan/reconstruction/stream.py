@@ -69,7 +69,7 @@ Counted = tuple[RangeImage, Int[np.ndarray, "verdicts"]]
 
 
 class Scanner:
-    """A rig and how its stripes are looked for, made ready for any number of scans.
+    """A rig and how its stripes are searched, prepared for any number of scans.
 
     Args:
         rig: as `read_rig` gives it; with its covariance the points carry their σ.
@@ -189,7 +189,7 @@ class Scanner:
         *,
         whole: bool = False,
     ) -> Iterator[RangeImage]:
-        """The points of photographs as they come, as from a camera that is scanning.
+        """The points of photographs as they arrive from a camera that is scanning.
 
         If the first of them show their stripe in another colour than the laser's, as photographs of OpenCV do, which
         are blue, green and red, there is a warning, and a note in `notes`.

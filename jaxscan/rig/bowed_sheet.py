@@ -36,7 +36,7 @@ class BowedSheet(Readable):
     """The points X = x z of the camera frame, x = (x, y, 1), with ω · x + b (ω₂ x − ω₁ y)² = 1 / z; none behind it.
 
     At ± f along the stripe and at depth z it is b (ω₁² + ω₂²) f² / (z |ω|) nearer to the camera than its plane, and the
-    cone's slope τ is 2 b √(ω₁² + ω₂²). Turned about the camera's axis it has the same bow.
+    cone's slope τ is 2 b √(ω₁² + ω₂²). If it is turned about the camera's axis, the bow stays the same.
 
     Attributes:
         plane: ω of the plane that touches it, 1/mm.

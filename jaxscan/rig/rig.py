@@ -77,7 +77,7 @@ class Rig(Readable):
         return axes[name]
 
     def with_axis(self, part: AxisMotion) -> "Rig":
-        """The same with this motion instead of its axis's, or as the one that carries the object."""
+        """The same with this motion in place of that of its axis, or as the one that carries the object."""
         axes = {**self.axes(), part.axis: part}
         return Rig(self.camera, self.lights, motion_of(tuple(axes.values())))
 

@@ -53,6 +53,6 @@ def setting_instead(*, columns: bool) -> str:
 def across_note(laser: str, where: str, *, columns: bool) -> str:
     """What is said of a laser whose stripe is looked for across its way, and where."""
     return (
-        f"the {stripe_of(laser)} runs {way_across(columns=columns)} {where}, where it is badly measured as it is "
-        f"looked for: {setting_instead(columns=columns)}"
+        f"the {stripe_of(laser)} runs {way_across(columns=columns)} {where}, where it is badly measured with the "
+        f"present setting: {setting_instead(columns=columns)}"
     )

@@ -27,8 +27,8 @@ class System(eqx.Module):
             each board that was moved by an axis, at its positions of reference; then of each gauge, T_object_gauge.
             For a board with its own bends, two bulges follow its pose, mm.
         shape: the board's, shared as well, or None for a flat one.
-        earlier: what the numbers of the rig were more by in photographs that were taken before something was changed,
-            leaf by leaf; None where the rig is one.
+        earlier: by how much the numbers of the rig were larger in photographs taken before something was changed, leaf
+            by leaf; None where there is one rig only.
     """
 
     rig: Rig

@@ -48,7 +48,7 @@ def rigid_fit_to(reference: Reference, cloud: Float[np.ndarray, "points 3"]) -> 
         other, _ = _best(reference, few * [-1.0, 1.0, 1.0])
         if other < _MIRRORED * misfit:
             raise InputError(
-                f"the mirror image fits better ({other:.3g} mm in the mean) than the thing itself ({misfit:.3g} mm): "
+                f"the mirror image fits better ({other:.3g} mm in the mean) than the original ({misfit:.3g} mm): "
                 "one of the two is mirrored; mirror it back"
             )
     return _rounds(reference, cloud, best, _ROUNDS)[1]

@@ -45,8 +45,8 @@ def check_free_space(sides: Sequence[Side], poses: Sequence[Pose]) -> None:
         return
     i, k = max(found, key=lambda pair: found[pair])
     raise InputError(
-        f"{sides[i].name}: {found[i, k]:.0%} of its points would stand where {sides[k].name} has seen through, so that "
-        "they are joined wrongly, however well they fit: name the scans in the order in which they were taken, and "
+        f"{sides[i].name}: {found[i, k]:.0%} of its points would lie where {sides[k].name} has seen through, so the "
+        "two are joined wrongly, however well they fit: name the scans in the order in which they were taken, and "
         "check the angles or poses, and that nothing moved on the object between them"
     )
 

@@ -117,7 +117,7 @@ def _of_sweeps(sweeps: list[RangeImage]) -> Sampling:
             each.append(astuple(sampling(sweep)))
     if not each:
         raise InputError(
-            "no point has neighbours in its frame and in the next: from frame to frame move now these axes, now those; "
+            "no point has neighbours in its frame and in the next: the axes that move change from frame to frame; "
             "scan in sweeps along which the same axes move"
         )
     return Sampling(*(float(x) for x in np.median(each, axis=0)))

@@ -230,7 +230,7 @@ def merge(sides: Sequence[Side], poses: Sequence[Pose], *, cube_mm: float | None
         cube_mm: distance of the vertices; by default 0.7 of the sides' spacing.
 
     Raises:
-        InputError: the size is not positive, makes too many cubes, or no surface comes of it.
+        InputError: the size is not positive, makes too many cubes, or gives no surface.
     """
     points = _Points(sides, poses)
     size = _CUBE * points.spacing if cube_mm is None else cube_mm
@@ -241,7 +241,7 @@ def merge(sides: Sequence[Side], poses: Sequence[Pose], *, cube_mm: float | None
     good = found.seen & np.isfinite(found.f) & (np.abs(found.f) < 0.5 * size)
     faces = _triangles(vertices, quads, good)
     if not len(faces):
-        raise InputError("no surface comes of these points: give a larger --cube")
+        raise InputError("these points give no surface: give a larger --cube")
     used, faces = np.unique(faces, return_inverse=True)
     mesh = trimesh.Trimesh(vertices[used], faces.reshape(-1, 3), process=False)
     apart, sigma, pixel = _widened(points, vertices[used], found.sigma[used], found.sigma_pixel[used])

@@ -158,8 +158,8 @@ def register(
     found = _registration(sides, poses, centre, size, linked, H, (len(steps), left, converged))
     if not converged:
         warnings.warn(
-            f"after {len(steps)} rounds the poses still moved, in the end by {left:.2g} of their σ: they and their σ "
-            "are not to be relied upon; begin nearer to the poses of the scans, or scan more of what they share",
+            f"after {len(steps)} rounds the poses still moved, in the end by {left:.2g} of their σ: do not rely on "
+            "them or their σ; start closer to the poses of the scans, or scan with more overlap",
             NotSettledWarning,
             stacklevel=2,
         )
@@ -234,9 +234,9 @@ def _step(sides: Sequence[Side], H: np.ndarray, g: np.ndarray, size: float) -> n
     ]
     if sliding:
         raise ObservabilityError(
-            f"{', '.join(sliding)}: slides on what it overlaps with, for a flat or round surface does not hold it: "
-            "scan it from where more of its shape is seen, or put something beside it; where its pose is known, as of "
-            "two lasers of one rig or by a turntable's steps, --as-given keeps it there"
+            f"{', '.join(sliding)}: slides on what it overlaps with, because a flat or round surface does not fix its "
+            "pose: scan it from a side that shows more of its shape, or put something beside it; if its pose is "
+            "known, as with two lasers of one rig or from a turntable's steps, --as-given keeps it there"
         )
     return unit * np.linalg.solve(scaled, unit * g)
 

@@ -128,8 +128,8 @@ _MEANING: Final = (
     "probing_size: the ball's diameter less the certified one.",
     "distance: the distance of two centres less the certified one.",
     "flatness: the narrowest band about a fitted plane that holds 95 % of its points.",
-    "± (test): what the certificate leaves open; a limit is met only where the whole interval lies within it.",
-    "± (predicted): twice what the rig's covariance and the points' noise let expect.",
+    "± (test): the uncertainty of the certificate; a limit is met only if the whole interval lies within it.",
+    "± (predicted): twice the error to be expected from the rig's covariance and the points' noise.",
 )
 
 

@@ -57,8 +57,8 @@ def advise(
         falls = f"the median σ of {what} would fall from {before[i]:#.3g} to {sigma:#.3g} {planned.unit}"
         words.append(f"{'then ' if i else ''}{place(pose, observations.image_size)} (outline {i + 1}): {falls}")
     caption = (
-        "Where to hold the board, as the camera sees it (outline 1 first; dotted: the stripe on it), over the boards "
-        "that there are (pale: their outermost points). A centimetre and five degrees beside is nearly as good."
+        "Where to hold the board, as the camera sees it (outline 1 first; dotted: the stripe on it), over the present "
+        "boards (pale: their outermost points). A place a centimetre and five degrees off is nearly as good."
     )
     picture = draw("next-photographs", caption, plots.next_best_views(planned.poses, observations))
     return Advice((*limit, *words), (picture,))
@@ -69,7 +69,7 @@ def advise_unplanned(volumes: tuple[WorkingVolume, ...], hand: Hand | None = Non
     return Advice((*_what_else_limits(volumes, hand), f"{_MORE}; --report draws where the board helps most"))
 
 
-_MORE = "more views like those there are: each σ falls with the root of their number"
+_MORE = "more views like the present ones: each σ falls with the root of their number"
 
 
 def poses_limit(volumes: tuple[WorkingVolume, ...], hand: Hand | None) -> bool:

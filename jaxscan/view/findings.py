@@ -119,8 +119,8 @@ def _scales(diagnostics: Diagnostics) -> list[Box]:
                 f"Millimetres of the session {each.parts[1]} are {100 * abs(scale):.2f} ± {100 * sigma:.1g} % "
                 f"{'longer' if scale > 0 else 'shorter'} than those of {each.parts[0]}: the squares of one of the "
                 "boards are not of the size that square_mm states.",
-                "Measure ten squares of each board with a ruler and correct square_mm in that session.toml. Whatever "
-                "else does not fit may be of this alone.",
+                "Measure ten squares of each board with a ruler and correct square_mm in that session.toml. "
+                "Everything else that does not fit may come from this alone.",
             )
         )
     return boxes
@@ -206,7 +206,7 @@ def _halves(diagnostics: Diagnostics) -> list[Box]:
             f"Two halves of the photographs disagree by {each.sigma_factor:.1f} times what their σ predict (most in "
             f"{each.names[worst]}, {abs(each.differences_in_sigma[worst]):.1f} σ): read every σ as "
             f"{each.sigma_factor:.1f} times as large.",
-            "Errors that do not average out are behind it: a board that is not flat or not held still, a camera that "
+            "Errors that do not average out are the cause: a board that is not flat or not held still, a camera that "
             "focused or zoomed between photographs (switch autofocus off), a lens that the model does not follow, or "
             "one bad photograph.",
         )

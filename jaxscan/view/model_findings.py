@@ -73,8 +73,8 @@ def _lens(calibration: Calibration, diagnostics: Diagnostics) -> list[Box]:
             Box(
                 "care",
                 f'The lens "{tried.chosen}" is richer than the photographs support: beyond "{tried.supported}" its '
-                f"{terms} further term{'s' if terms > 1 else ''} only fit{'s' if terms == 1 else ''} noise. Views "
-                f"that it has not seen it predicts to {chosen.held_out_px:.3f} px, the simpler one to "
+                f"{terms} further term{'s' if terms > 1 else ''} only fit{'s' if terms == 1 else ''} noise. It "
+                f"predicts views that it has not seen to {chosen.held_out_px:.3f} px, the simpler one to "
                 f"{supported.held_out_px:.3f} px, which is no clear difference.",
                 f'Set lens = "{tried.supported}" under [camera] in session.toml{unheld}, or hold the board '
                 "into the corners of the image, where the terms differ.",
@@ -95,7 +95,7 @@ def _missing_terms(missing: MissingTerms | None) -> list[Box]:
         return [
             Box(
                 "care",
-                f"The lens is not followed with {what} held: free, {they} would explain {100 * missing.gain:.0f} % "
+                f"The lens model does not fit with {what} held: free, {they} would explain {100 * missing.gain:.0f} % "
                 f"of the corners' squared errors{moves}.",
                 f"Free {what}: take {it} out of --hold and of hold under [camera] in session.toml, and name {it} with "
                 f"--free where the file of --camera has 0. {alike}",
@@ -104,7 +104,8 @@ def _missing_terms(missing: MissingTerms | None) -> list[Box]:
     return [
         Box(
             "care",
-            f'The lens is not followed: one of the kind "{missing.lens}" would explain {100 * missing.gain:.0f} % of '
+            f'The lens model does not fit: one of the kind "{missing.lens}" would explain {100 * missing.gain:.0f} % '
+            "of "
             f"the corners' squared errors{moves}.",
             f'Set lens = "{missing.lens}" under [camera] in session.toml. {alike}',
         )
@@ -130,14 +131,14 @@ def _camera_model(calibration: Calibration, diagnostics: Diagnostics) -> list[Bo
             Box(
                 "care",
                 f"Corners {by.radius_px[worst]:.0f} px from the principal point are off by {by.radial_px[worst]:+.3f} "
-                f"px outwards in the mean ({out[worst]:.0f} standard errors): the lens is not followed there.",
+                f"px outwards in the mean ({out[worst]:.0f} standard errors): the lens model does not fit there.",
                 f"{richer[0].upper()}{richer[1:]}; if that does not help, see whether the boards are flat.",
             )
         )
     if not boxes and diagnostics.over_image.left_out(calibration.corner_sigma_px):
         share = diagnostics.over_image.share_off(calibration.corner_sigma_px)
         splined = (
-            ' Where no formula helps, lens = "splined" follows what is left.'
+            'Where no formula helps, lens = "splined" describes the rest.'
             if calibration.rig.camera.lens.kind in LADDER
             else ""
         )

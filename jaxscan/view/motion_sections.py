@@ -48,7 +48,7 @@ def stage(calibration: Calibration, diagnostics: Diagnostics) -> Section:
     return Section(
         "The stage",
         paragraphs=words,
-        tables=(Table("Where the board really stood against one line", columns, tuple(rows)),),
+        tables=(Table("The real places of the board, compared with one line", columns, tuple(rows)),),
         figures=(
             draw(
                 "stage",
@@ -97,7 +97,7 @@ def turntable(calibration: Calibration, diagnostics: Diagnostics) -> Section:
     return Section(
         "The turntable",
         paragraphs=words,
-        tables=(Table("Where the board really stood against one turn about one axis", columns, tuple(rows)),),
+        tables=(Table("The real places of the board, compared with one turn about one axis", columns, tuple(rows)),),
         figures=(
             draw(
                 "turntable",

@@ -148,9 +148,9 @@ def _single_beside(
     return [
         Box(
             "care",
-            f"The whole stripe lies beside the {'sheet of light' if swept else 'light plane'} on {names}.",
-            "Look at the photograph: the light did not stand where its step says, or the stripe is a reflection or "
-            "lies on something else than the board. If all stripes of a board are named, the board moved."
+            f"The whole stripe is off the {'sheet of light' if swept else 'light plane'} on {names}.",
+            "Look at the photograph: the light was not where its step says, or the stripe is a reflection or lies on "
+            "something else than the board. If all stripes of a board are named, the board moved."
             if swept
             else "The board moved between corners and stripe, is bent as a whole, or its squares are of another size.",
         )
@@ -229,7 +229,7 @@ def _curved_sweeps(diagnostics: Diagnostics, sags: Mapping[str, float]) -> list[
                 "care",
                 f"The stripes{of_laser(laser)} are curved alike on all boards, by {sag:.2g} mm over {length:.0f} mm in "
                 "the median: the sheet of light may be curved, and was taken as flat.",
-                "There is no curved sheet that is swept: turn the line lens until it is square to its beam, take "
+                "A swept sheet cannot be modelled as curved: turn the line lens until it is square to its beam, take "
                 "another laser, or use the middle of its fan only. If all boards are one plate, or bent alike, it "
                 "looks the same: lay a straight edge across it.",
             )
@@ -243,7 +243,7 @@ def _off_the_plane(laser: str, own: Sequence[StripeShape]) -> Box:
     names = first_few([f"{s.name} ({s.beside_mm:.2g} mm)" for s in own])
     return Box(
         "care",
-        f"The stripes{of_laser(laser)} are straight and fit no plane: each as a whole lies beside the light plane, by "
+        f"The stripes{of_laser(laser)} are straight and fit no plane: each as a whole is off the light plane, by "
         f"{beside:.2g} mm in the median, {beside / crooked:.1f} times as far as they are crooked. The farthest are "
         f"{names}. The boards were not where their corners say when the stripe was photographed.",
         "Where corners and stripe have photographs of their own, the board moved between them: put it on a "
@@ -260,7 +260,7 @@ def _off_the_sweep(calibration: Calibration, laser: str, own: Sequence[StripeSha
     amount, unit = cast(MovingLight, light).amount(high - low)
     apart = f"{high - low:.2g} steps, or {amount:.2g} {unit} of the light, apart"
     what = (
-        f"The stripes{of_laser(laser)} are straight, and each as a whole lies beside the sheet of light, by "
+        f"The stripes{of_laser(laser)} are straight, and each as a whole is off the sheet of light, by "
         f"{beside:.2g} mm RMS, {beside / crooked:.1f} times as far as they are crooked"
     )
     if found.by == "steps":
@@ -271,8 +271,9 @@ def _off_the_sweep(calibration: Calibration, laser: str, own: Sequence[StripeSha
             f"{most}, {apart}.",
             "A motor with microsteps: photograph and scan at full steps only. A mirror that a voltage drives is not "
             "quite proportional to it: where its true angles are known, give these as steps, in thousandths of a "
-            "degree. There is no table of a drive's true angles yet. What an even turn can follow is not counted "
-            "here: the drive may be further off.",
+            "degree. A table of a drive's true angles cannot be given yet. The part that an even turn can explain is "
+            "not "
+            "counted here: the drive may be further off.",
         )
     if found.by == "boards":
         return Box(

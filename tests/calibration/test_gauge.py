@@ -218,7 +218,7 @@ def test_a_wrong_certificate_contradicts_the_boards(true_rig, block):
     unseen = refine_by_gauge(content, [Gauge(block, Steps((0.0, 1.48, 3.68, 8.94, 16.0)))])
     assert any("No point lies on the gauge's level of 16 mm" in words for words in unseen.contradictions)
     wrong = refine_by_gauge(content, [Gauge(block, Steps((0.0, 1.48, 3.68, 8.94, 14.5)))])
-    assert any("Levels of the gauge do not go together: " in words for words in wrong.contradictions)
+    assert any("Levels of the gauge do not fit together: " in words for words in wrong.contradictions)
     assert wrong.rig_file({"warnings": ["before"]}, ["after"]).warnings == ("before", *wrong.contradictions, "after")
 
 

@@ -120,7 +120,7 @@ def test_terms_that_a_file_has_as_zero_stay_zero_and_can_be_freed(saved, tmp_pat
     argv = ["calibrate", str(saved), "-o", str(rig), "--camera", str(camera)]
     assert main(argv) == 0
     out = capsys.readouterr().out
-    assert f"note: {K3} is 0 in {camera} and stayed 0: to have one found, name it with --free" in out
+    assert f"note: {K3} is 0 in {camera} and stayed 0: to estimate one, name it with --free" in out
     content = read_rig(rig)
     assert float(content.rig.camera.lens.radial[2]) == 0.0
     assert content.covariance is not None
@@ -198,7 +198,7 @@ def test_a_lens_of_another_kind_on_the_command_line(saved, tmp_path, capsys):
     with registered(Division):
         assert main([*argv, "--hold", "camera.division.0"]) == 0
         out = capsys.readouterr().out
-        assert "The lens is not followed with camera.division.0 held" in out
+        assert "The lens model does not fit with camera.division.0 held" in out
         assert "Free camera.division.0, held here, or try another lens" in out
         assert main(argv) == 0
         assert read_rig(rig).rig.camera.lens.kind == "division"

@@ -157,7 +157,7 @@ def test_the_place_of_a_laser_is_for_albedo_alone(folder, tmp_path, capsys) -> N
         tmp_path / "a.ply",
     ]
     assert main([str(word) for word in words]) == 2
-    assert "--laser-at: only --albedo asks where the laser stands" in capsys.readouterr().err
+    assert "--laser-at: only --albedo uses the place of the laser" in capsys.readouterr().err
     assert not (tmp_path / "a.ply").exists()
 
 

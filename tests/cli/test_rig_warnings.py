@@ -48,7 +48,7 @@ def test_sigma_that_are_wider_than_noise_alone_are_said(doubtful: Path, capsys: 
     text["fit"]["sigma_over_noise_alone"] = {"camera.focal.0": 1.25, "camera.radial.0": 9.03}
     doubtful.write_text(json.dumps(text))
     assert main(["inspect", str(doubtful)]) == 0
-    assert "1.2 to 9 times as wide as noise alone has it" in capsys.readouterr().out
+    assert "1.2 to 9 times as large as from noise alone" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("ratios", [{}, 1.25, {"camera.focal.0": "wide"}, {"camera.focal.0": 0.0}])

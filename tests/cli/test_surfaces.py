@@ -147,7 +147,7 @@ def test_floors_methods_and_options(folder, capsys):
     assert triangles("--method", "delaunay") == pytest.approx(alone, rel=0.05)
     cloud = run(capsys, "mesh", folder / "block.ply", "-o", folder / "cloud.ply")
     assert cloud["triangles"] > 3 * alone
-    assert "looked for in a range image (.npz) alone" in cloud["note"]
+    assert "searched only in a range image (.npz)" in cloud["note"]
     assert "note" not in run(capsys, "mesh", folder / "block.ply", "-o", folder / "cloud.ply", "--floor=keep")
     # A cloud is joined as the light of a rig shows it, with --method delaunay or without.
     write_rig(folder / "lit.json", RigFile(simulated_rig(0)))
@@ -258,7 +258,7 @@ def test_inspect_meshes_clouds_and_views(folder, capsys):
         ("view block.ply --png block.ply", "--png block.ply: the picture is a PNG"),
         ("compare block.ply block.npz -o block.ply", "block.ply: is read, and writing to it would replace it"),
         ("compare block.ply block.npz --png x.svg", "--png x.svg: the picture is a PNG"),
-        ("compare block.ply --region=0,0,0,1 --reference-units m", "--reference-units m is about a REFERENCE"),
+        ("compare block.ply --region=0,0,0,1 --reference-units m", "--reference-units m needs a REFERENCE"),
         ("reconstruct scan --rig rig.json -o x.ply -o x.ply", "x.ply: two things are to be written there"),
         ("calibrate session -o report.json --report .", "report.json: two things are to be written there"),
         ("compare block.ply --region -1,0,0,-1", "--region: its radius is -1 mm: give X,Y,Z,R with R more than 0"),

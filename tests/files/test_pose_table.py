@@ -116,7 +116,7 @@ BAD = {
     "no names": (["1,2,3,1,0,0,0"], ["line 1: has 7 numbers and no name"]),
     "six numbers": (["00.png,1,2,3,0,0,90"], ["line 1", "qw, qx, qy, qz", "4 × 4"]),
     "a word": ([LINE.format("00.png"), "01.png,1,2,x,1,0,0,0"], ["line 2: is '01.png,1,2,x,1,0,0,0'"]),
-    "twice": ([LINE.format("00.png")] * 2, ["line 2: 00.png stands twice"]),
+    "twice": ([LINE.format("00.png")] * 2, ["line 2: 00.png appears twice"]),
     "no unit quaternion": (["00.png,1,2,3,1,1,0,0"], ["line 1: the quaternion has the length 1.414"]),
     "no number": (["00.png,1,2,3,nan,0,0,0"], ["line 1: has the number nan"]),
     "no position": (["00.png,1,nan,3,1,0,0,0"], ["line 1: has the number nan", "leave the photograph out"]),

@@ -359,7 +359,7 @@ def test_bad_rigs_are_refused_with_file_key_and_mend(tmp_path, good, name):
         (b"\x89PNG\r\n\x1a\n\xff\xfe", "is not text"),
         (b"[" * 100_000, "nested too deeply"),
         (b'{"format": 1' + b"0" * 5000 + b"}", "not valid JSON"),
-        (b'{"units": "mm", "units": "mm"}', '"units" stands twice'),
+        (b'{"units": "mm", "units": "mm"}', '"units" appears twice'),
     ],
 )
 def test_what_is_no_rig_at_all(tmp_path, content, text):

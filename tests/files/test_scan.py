@@ -185,7 +185,7 @@ BAD = {
         LISTED.replace("f2", "f7").replace("f1", "f6"),
         ["[scan] frames", "2 of 2 files", "f6.png, f7.png"],
     ),
-    "a frame twice": (LISTED.replace("f2", "f1"), ['"frames/f1.png" stands twice']),
+    "a frame twice": (LISTED.replace("f2", "f1"), ['"frames/f1.png" appears twice']),
     "steps of another number": (LISTED.replace("[0, 1]", "[0]"), ["[scan] steps = [0]", "1 step counts for 2 frames"]),
     "no steps": (FRAMES, ["[scan] steps", "steps_per_frame"]),
     "stands still": (FRAMES + "steps_per_frame = 0", ["steps_per_frame = 0", "does not move"]),

@@ -61,9 +61,9 @@ def test_conf(tmp_path):
         ("bmesh a.ply 0 0 0 0 0 0 1\n", "conf", r"has no pose for b\.npz, but for a\.ply"),
         ("bmesh a.ply 0 0 0 0 0 1\n", "conf", r"line 1: is 'bmesh a\.ply 0 0 0 0 0 1', but bmesh NAME"),
         ("bmesh a.ply 0 0 0 0 0 0 x\n", "conf", r"line 1: .* seven numbers"),
-        ("bmesh a.ply 0 0 0 0 0 0 1\nbmesh a.ply 0 0 0 0 0 0 1\n", "conf", r"line 2: a\.ply stands twice"),
+        ("bmesh a.ply 0 0 0 0 0 0 1\nbmesh a.ply 0 0 0 0 0 0 1\n", "conf", r"line 2: a\.ply appears twice"),
         ("bmesh a.ply nan 0 0 0 0 0 1\n", "conf", r"line 1: .* finite numbers"),
-        ('{"a.ply": 1, "a.ply": 2}', "json", r'the key "a\.ply" stands twice'),
+        ('{"a.ply": 1, "a.ply": 2}', "json", r'the key "a\.ply" appears twice'),
         ("x", "txt", r"give the poses as \.json, or as \.conf"),
     ],
 )

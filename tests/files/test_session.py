@@ -287,8 +287,8 @@ BAD = {
     "name with a null": ([BOARD, '[views]\nboards = ["a\\u0000b"]'], ["[views] boards", "1 of 1 files"]),
     "glob with a null": ([BOARD, '[views]\nboards = "a\\u0000*"'], ["[views] boards", "matches no file"]),
     "name without end": ([BOARD, f'[views]\nboards = ["{"a" * 5000}"]'], ["[views] boards", "1 of 1 files"]),
-    "named twice": ([BOARD, '[views]\nboards = ["boards/v1.png", "boards/v1.png"]'], ['"boards/v1.png" stands twice']),
-    "named twice in two ways": ([BOARD, '[views]\nboards = ["boards/v1.png", "./boards/v1.png"]'], ["stands twice"]),
+    "named twice": ([BOARD, '[views]\nboards = ["boards/v1.png", "boards/v1.png"]'], ['"boards/v1.png" appears twice']),
+    "named twice in two ways": ([BOARD, '[views]\nboards = ["boards/v1.png", "./boards/v1.png"]'], ["appears twice"]),
     "none named": ([BOARD, "[views]\nboards = []"], ["[views] boards = []", "names no photograph"]),
     "too few stripes": (
         [BOARD, VIEWS + 'stripes = ["stripes/v1.png"]'],

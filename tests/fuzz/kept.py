@@ -202,7 +202,7 @@ KEPT: dict[str, tuple[str, Callable[[], bytes], str]] = {
     "yaml, 800 kB": ("ros", lambda: _ros("narrow_stereo", "[" + "1.0, " * 160_000 + "1]"), ""),
     "yaml, 400 000 deep": ("ros", lambda: _ros("narrow_stereo", "[" * 400_000), "nested too deeply"),
     "text without end": ("ros", lambda: b"a: 1 # " + b"x" * (9 << 20), "longer than 8 million letters"),
-    "json, the last of many keys twice": ("rig 2", _one_key_late, "stands twice"),
+    "json, the last of many keys twice": ("rig 2", _one_key_late, "appears twice"),
     "mrcal, four million numbers": (
         "mrcal",
         lambda: b"{'a': [" + b"1," * 4_000_000 + b"]}",

@@ -106,7 +106,7 @@ def test_no_scans(tree):
     (tree / "empty").mkdir()
     with pytest.raises(InputError, match=r"no scan\.toml"):
         find_tasks(tree / "empty", tree / "out")
-    with pytest.raises(InputError, match="is no folder"):
+    with pytest.raises(InputError, match="is not a folder"):
         find_tasks(tree / "rig.json", tree / "out")
 
 

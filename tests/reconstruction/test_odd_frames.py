@@ -32,7 +32,7 @@ def test_a_photograph_far_from_both_its_neighbours_is_named(by, which):
     assert notes(seen) == []
     seen[which] += by
     (note,) = notes(seen)
-    assert note.startswith(f"the stripe of {which:03d}.png ({abs(by):.0f} px from theirs) does not go with those ")
+    assert note.startswith(f"the stripe of {which:03d}.png ({abs(by):.0f} px from theirs) does not fit those ")
     # Those beside it in the order of the steps count, whatever the files' order; where nothing has steps, the files'.
     assert NAMES[59 - which] in notes(seen[::-1], turntable=np.arange(60)[::-1])[0]
     assert NAMES[which] in notes(seen, turntable=np.zeros(60, int))[0]

@@ -30,9 +30,9 @@ FLAT = [wavy_stripe(0) for _ in range(8)]
 def test_a_photograph_that_comes_twice_is_named_with_the_one_before_it() -> None:
     assert notes(MOVING, 1.0) == []
     (said,) = notes(MOVING, 1.0, again=(3, 8))
-    assert said.startswith("003.png is 002.png once more, 008.png is 007.png once more, to the last bit")
+    assert said.startswith("003.png is a copy of 002.png, 008.png is a copy of 007.png, to the last bit")
     (said,) = notes(MOVING, 0.3, again=(2, 4, 6, 8, 9))
-    assert "006.png is 005.png once more, and 2 more are, to the last bit" in said
+    assert "006.png is a copy of 005.png, and 2 more are copies, to the last bit" in said
 
 
 def test_without_noise_photographs_may_be_equal() -> None:

@@ -141,7 +141,7 @@ def test_a_table_of_a_scan_that_is_read_in_another_way(world, said: str):
         pytest.skip("a hand that is turned by half a turn is near its own inverse")
     given = given_poses({axis: np.asarray(steps, float) for axis, steps in scan.axes.items()})
     wrong = {axis: tuple(steps.tolist()) for axis, steps in positions_of(MISREAD[said](given)).items()}
-    with pytest.raises(InputError, match=f"do not go with those of the calibration, but they do {said}"):
+    with pytest.raises(InputError, match=f"do not fit those of the calibration, but they do {said}"):
         reconstruct(rig, replace(scan, axes=wrong))
     # A rig file of before says nothing of where its poses were.
     fit = {key: value for key, value in rig.fit.items() if key != "pose_range"}

@@ -29,9 +29,7 @@ def scan(**axes: tuple[int, ...]) -> Scan:
 
 def test_it_must_be_said_where_what_carries_a_turntable_stands(rig):
     turns = tuple(range(0, TURN, 400))
-    with pytest.raises(
-        InputError, match=r"scan.toml: \[scan.axes\] the turntable moves, and it is not said where the s"
-    ):
+    with pytest.raises(InputError, match=r"scan.toml: \[scan.axes\] the turntable moves, and the position of the s"):
         check_scan(rig, scan(turntable=turns))
     check_scan(rig, scan(turntable=turns, stage=(37000,) * len(turns)))
     # The turntable stands on the stage, so wherever it stands it goes along.

@@ -37,5 +37,5 @@ def test_sides_in_their_places_are_not_refused(scanned) -> None:
 def test_exchanged_sides_are_refused_and_named(scanned) -> None:
     sides, poses = scanned
     order = [0, 2, 1, *range(3, len(poses))]
-    with pytest.raises(InputError, match=r"side \d: \d+% of its points would stand where side \d has seen through"):
+    with pytest.raises(InputError, match=r"side \d: \d+% of its points would lie where side \d has seen through"):
         check_free_space(sides, [poses[k] for k in order])

@@ -71,7 +71,7 @@ def test_each_photograph_counts_those_before_it(calibration: Calibration):
 @pytest.mark.parametrize("nothing", [planned(), planned(0.0799)])
 def test_where_no_place_helps_more_of_the_same_does(calibration: Calibration, nothing):
     advice = advise(nothing, (), calibration.observations)
-    assert advice.words == ("more views like those there are: each σ falls with the root of their number",)
+    assert advice.words == ("more views like the present ones: each σ falls with the root of their number",)
     assert advice.figures == ()
 
 

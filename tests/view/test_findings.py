@@ -121,7 +121,7 @@ def test_one_stripe_that_is_off_says_nothing_of_the_others(calibration, diagnost
     stripes = tuple(shape(f"{i}.png", "", BOWED[0], level(by), 300.0) for i, by in enumerate([0.001, -0.001] * 3))
     stripes += (shape("9.png", "", BOWED[0], level(0.15), 300.0),)
     said = words(calibration, replace(diagnostics, stripes=stripes))
-    assert re.search(r"care: The whole stripe lies beside the light plane on 9.png \(\+0.15 mm\)", said)
+    assert re.search(r"care: The whole stripe is off the light plane on 9.png \(\+0.15 mm\)", said)
     assert "fit no plane" not in said
 
 
@@ -141,7 +141,7 @@ def test_what_a_curved_sheet_explains_is_not_laid_on_the_boards(calibration, dia
     """A curved sheet that was taken as flat puts stripes beside its plane as wholes, by less than it is curved."""
     stripes = tuple(shape(f"{i}.png", "", BOWED[0], level(0.05 * i), 300.0) for i in (-1, 1, -1, 1, -1, 1, 4))
     changed = replace(diagnostics, stripes=stripes)
-    on_boards = "fit no plane|lies beside the light plane on 4.png"
+    on_boards = "fit no plane|is off the light plane on 4.png"
     assert len(re.findall(on_boards, words(calibration, changed))) == 2
     curved = replace(calibration, sheet_curves=(SheetCurve("", -0.3, 0.03, 200.0, 345.0),))
     assert not re.search(on_boards, words(curved, changed))
@@ -216,7 +216,7 @@ def test_a_held_term_that_is_missing_is_to_be_freed(monkeypatch, diagnostics):
     for each in (found, replace(found, ladder=better(replace(diagnostics.ladder, chosen="radial2"), "radial3"))):
         said = words(result, each)
         assert re.search(
-            r"care: The lens is not followed with camera.radial.1 held: free, it would explain 1\d %", said
+            r"care: The lens model does not fit with camera.radial.1 held: free, it would explain 1\d %", said
         )
         assert "Free camera.radial.1: take it out of --hold and of hold under [camera]" in said
         assert "Free camera.radial.1, held here, or try a richer lens" in said

@@ -97,7 +97,7 @@ def as_it_is(session: Observations) -> Observations:
             "Another photograph of the board hardly helps",
         ),
         ({"noise": Noise(0.05, 6.0)}, as_it_is, "radial1", "stop", "scatter by [56].. px", "First correct"),
-        ({}, mixed_up, "radial1", "stop", "do not go with their step counts", "correct images or steps"),
+        ({}, mixed_up, "radial1", "stop", "do not fit their step counts", "correct images or steps"),
     ],
     ids=["lens", "no lens", "three boards", "parallel", "3 px", "6 px", "mixed up"],
 )

@@ -55,6 +55,6 @@ def miscoloured(found: Sequence[str | None], settings: StripeSettings) -> str | 
     if brighter is None:
         return None
     return (
-        f"is brightest in {brighter} in most photographs, and is looked for in {settings.color}: "
+        f"is brightest in {brighter} in most photographs, but is searched in {settings.color}: "
         f'set color = "{brighter}" under [laser]'
     )

@@ -68,7 +68,7 @@ def detect_stripe(
         The stripe in the first `count` images.
 
     Raises:
-        InputError: shapes, depths or colour do not go together.
+        InputError: shapes, depths or colour do not match.
     """
     frames = _batch(images, settings, "the image")
     dark = None if background is None else _batch(background, settings, "the background")

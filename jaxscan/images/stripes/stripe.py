@@ -18,11 +18,11 @@ class Stripe:
             laser's channel, or of the intensity.
         width: full width at half the height, px; NaN where it is not valid.
         breadth: of what is seen, full at half height, px: of a burnt-out stripe that of its full pixels and more.
-        valid: whether there is a stripe, with both flanks on the image and with company in the neighbouring lines.
+        valid: whether there is a stripe, with both flanks in the image, and supported by the neighbouring lines.
         verdict: what was made of the line, a `Verdict`.
         burnt: whether some pixel near the line's stripe is full.
         light: read noise, gain, speckle contrast and saturation of each frame (`images.light`); NaN without a stripe.
-        odd: in which frames the stripe's cross section is no bell, and that all along it.
+        odd: in which frames the stripe's cross-section is not bell-shaped, all along it.
         correlation: of the noise of neighbouring pixels of each frame's lines; 0 where it is white, or not seen.
         mosaic: in which frames only the pixels count that saw the laser's colour themselves (`mosaic`).
         full: share of each frame's pixels whose laser channel is full.
