@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from jaxscan.robust import NORMAL_MAD
+from jaxscan.robust import NORMAL_MAD, weighted_median
 
 # Photographs that predict. Others are placed by them that are this number of steps before them, and the last ones of a
 # turn that are no further away than the second.
@@ -27,6 +27,8 @@ _LINES, _TRIED = 16, 12
 _ROUNDS, _LEAST_PX, _HALF = 5, 0.05, 2.0
 # A turn does not close if it misses by this part of a step, and by this multiple of what placing is off by.
 _MISSES, _SURE = 0.5, 4.0
+# Where that multiple is more than this part of a full turn, nothing can be said.
+_UNKNOWN = 1 / 18
 
 
 class Closing(NamedTuple):
@@ -71,8 +73,18 @@ def closing(
 def closing_notes(
     stripes: Float[np.ndarray, "frames lines"], steps: Float[np.ndarray, "frames"], turn: int, axis: str
 ) -> list[str]:
-    """What is said of a turn that does not close; the arguments are those of `closing`, and the axis's name."""
+    """What is said of a turn that does not close, or of which that cannot be known.
+
+    The arguments are those of `closing`, and the axis's name.
+    """
     found = closing(stripes, steps, turn)
+    if found is not None and _SURE * found.sigma > _UNKNOWN * turn:
+        shows = _SURE * found.sigma / turn * 360
+        return [
+            "whether the turn closes could not be checked: near its first photograph the stripe hardly changes with "
+            f"the turn, so that lost steps, or an object that moved, would show from {shows:.0f}° on: begin the scan "
+            "where the stripe runs over the sides of the object, or photograph in smaller steps"
+        ]
     if found is None or abs(found.misses) < max(_MISSES * found.step, _SURE * found.sigma):
         return []
     return [
@@ -94,10 +106,15 @@ def _placed(
     line, *_ = np.linalg.lstsq(about, u, rcond=None)
     # A line that is not straight predicts little.
     bends = ((u - about @ line) ** 2).sum(axis=0) / (len(steps) - 2)
-    slope, off, x = line[1], stripe[both] - line[0], 0.0
+    slope, off = line[1], stripe[both] - line[0]
+    tells = np.abs(slope) / np.sqrt(1 + bends)
+    if not tells.any():
+        return None
+    # The least sum of |off − slope x|: lines on a bare table, which tell nothing of the turn, do not count in it.
+    x = weighted_median(off / np.where(slope == 0, 1, slope), tells)
     for _ in range(_ROUNDS):
         left = off - slope * x
-        usual = max(NORMAL_MAD * float(np.median(np.abs(left))), _LEAST_PX)
+        usual = max(NORMAL_MAD * weighted_median(np.abs(left), tells), _LEAST_PX)
         weight = 1 / ((1 + bends) * (1 + (left / (_HALF * usual)) ** 2))
         total = float((weight * slope**2).sum())
         if total <= 0:

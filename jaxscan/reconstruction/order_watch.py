@@ -13,13 +13,14 @@ from jaxtyping import Float, Num
 from jaxscan.axis_details import is_detail
 from jaxscan.reconstruction.closing import closing_notes
 from jaxscan.reconstruction.odd_frames import odd_frame_notes, stripes_apart
+from jaxscan.reconstruction.stalled import stalled_notes
 from jaxscan.reconstruction.turns import full_turn
 from jaxscan.rig import Motion
 
 _Steps = Num[np.ndarray, "frames"]
 
 # Lines of each frame that are remembered.
-_LINES: Final = 128
+_LINES: Final = 256
 # Pairs of frames that say something.
 _FEWEST: Final = 16
 # Frames that follow one another differ by this part of what frames far apart do, at the least, if they are in no order:
@@ -48,7 +49,7 @@ class OrderWatch:
                 self._positions.setdefault(axis, []).append(np.asarray(steps))
 
     def notes(self, names: Sequence[str] = ()) -> list[str]:
-        """What is said of photographs that seem to be in no order, of single ones, or of a turn that does not close.
+        """What is said of photographs in no order, of single ones, of an axis that stalled, of a turn that is open.
 
         Order and turn are those of scans that only one axis moves.
 
@@ -67,8 +68,11 @@ class OrderWatch:
         stripes = stripes[order]
         if disorder := self._disorder(stripes):
             return disorder
-        single = odd_frame_notes(stripes, [names[int(i)] for i in order]) if len(names) else []
-        return single + self._open_turn(stripes, positions[axis][order].astype(float), axis)
+        steps, single = positions[axis][order].astype(float), []
+        if len(names):
+            ordered = [names[int(i)] for i in order]
+            single = odd_frame_notes(stripes, ordered) + stalled_notes(stripes, steps, axis, ordered)
+        return single + self._open_turn(stripes, steps, axis)
 
     def _open_turn(self, stripes: Float[np.ndarray, "frames some"], steps: _Steps, axis: str) -> list[str]:
         turn = full_turn(self._motion, [axis])

@@ -55,7 +55,7 @@ def _hand(hand: Hand) -> list[Box]:
 
 
 def _suspect(suspect: Suspect) -> Box:
-    where = "Photograph on stage or turntable" if suspect.staged else "Photograph"
+    where = "Photograph of the board on an axis," if suspect.staged else "Photograph"
     if suspect.stripe_alone:
         return Box(
             "care",

@@ -169,8 +169,9 @@ def limits(calibration: Calibration, diagnostics: Diagnostics, volumes: tuple[Wo
                 )
             )
         if volume.travelled_mm is not None:
+            moved = " and ".join(calibration.rig.axes())
             words.append(
-                f"At the far end of the stage's travel σ is {_mm(volume.travelled_mm)} in the median: the stage adds "
+                f"At the far end of the travel of the {moved} σ is {_mm(volume.travelled_mm)} in the median: this adds "
                 f"{_mm(np.sqrt(max(volume.travelled_mm**2 - volume.median_mm**2, 0.0)))}."
             )
     tau = calibration.stripe_correlation

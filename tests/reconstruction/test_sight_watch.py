@@ -96,6 +96,20 @@ def test_a_stage_that_moved_the_other_way():
     assert "the stage moved the other way than its steps say" in note
 
 
+@pytest.mark.parametrize(("name", "off"), [("figure", 0), ("cup", -1000), ("panda", 3000)])
+def test_a_table_that_turned_the_other_way(name: str, off: int):
+    """All around, with the axis in the sheet or beside it."""
+    rig = rig_2003.with_turntable(rig_2003.simulated_rig(1), 1)
+    scene = rig_2003.scan_scene(rig, getattr(shapes, name)(rig_2003.OBJECT_Y))
+    q = {axis: np.array(n) for axis, n in rig_2003.turning_axes(60, rig_2003.step_over_axis(rig, 0) + off).items()}
+    at = [{axis: float(n[i]) for axis, n in q.items()} for i in range(len(q["turntable"]))]
+    points = [true_profile(rig, scene, each, lighting=rig_2003.SCAN_LIGHTING).points for each in at]
+    seen = np.stack([as_numpy(rig.motion.pose(each)).apply(X) for each, X in zip(at, points, strict=True)])
+    assert notes(seen, q, rig.motion) == []
+    (note,) = notes(seen, {**q, "turntable": q["turntable"][::-1]}, rig.motion)
+    assert "the turntable moved the other way than its steps say" in note
+
+
 @pytest.mark.parametrize("name", ["panda", "figure"])
 @pytest.mark.parametrize("on", [0, 1])
 def test_a_turn_by_the_light_of_the_other_laser(name: str, on: int):

@@ -6,7 +6,7 @@ import pytest
 from jaxscan.errors import InputError
 from jaxscan.images import StripeSettings
 from jaxscan.precision import as_numpy, float64
-from jaxscan.reconstruction.scan_checks import check_lines
+from jaxscan.reconstruction.scan_checks import check_lines, line_notes
 from jaxscan.rig import Camera, LightPlane, Rig
 from jaxscan.rig.bowed_sheet import BowedSheet
 from jaxscan.rig.stripe_way import stripe_slope
@@ -68,3 +68,12 @@ def test_a_stripe_that_is_looked_for_across_its_way_is_refused(omega, columns, s
         return
     with pytest.raises(InputError, match=rf"^scan\.toml: looks for {says}|^scan\.toml: .*{says}"):
         check_lines(rig, laser, "scan.toml")
+
+
+@pytest.mark.parametrize(("omega", "notes"), [([0.004, 0.003, 0.003], 0), ([0.004, 0.0017, 0.003], 1)])
+def test_a_steep_stripe_is_measured_and_spoken_of(omega, notes):
+    rig, laser = rig_of(LightPlane.create(omega)), StripeSettings("red", True)
+    check_lines(rig, laser, "scan.toml")
+    said = line_notes(rig, laser)
+    assert len(said) == notes
+    assert all("set columns = false" in note for note in said)
