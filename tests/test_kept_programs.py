@@ -167,6 +167,20 @@ def test_within_another_function_it_is_a_part_of_that(tmp_path: Path) -> None:
     assert said(tmp_path, derivative)[-1] == "[ 0.  3. 12.]"
 
 
+@pytest.mark.parametrize("keep", [True, False])
+def test_what_is_known_where_another_function_is_traced_is_computed(tmp_path: Path, keep: bool) -> None:
+    """Options of the compiler are for programs that are nobody's part."""
+    body = 'other = jax.jit(lambda y: raised(Pair(x, ""), power=3)[0].a + y); print(np.asarray(other(1.0)).tolist())'
+    assert said(tmp_path, body, keep=keep) == ["traced", "[1.0, 2.0, 9.0]"]
+
+
+def test_a_compiler_that_does_not_know_our_options_does_without(tmp_path: Path) -> None:
+    unknown = 'kept_programs._FAST_TO_COMPILE["xla_cpu_no_such_option"] = True; '
+    assert said(tmp_path, f"{unknown}print(kept_programs._options()); {RAISED}") == ["None", "traced", AS_RAISED]
+    (known,) = said(tmp_path, "print(kept_programs._options())")
+    assert known == "{'xla_cpu_use_fusion_emitters': False}"
+
+
 def test_commands_keep_theirs(tmp_path: Path) -> None:
     """A process of our own keeps programs where JAX keeps what it has compiled; one that only calls us does not."""
     body = """

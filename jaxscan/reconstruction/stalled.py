@@ -24,7 +24,7 @@ from jaxscan.robust import NORMAL_MAD, weighted_median
 _MOVES_PX, _EVEN, _MOST = 1.2, 0.5, 50.0
 # No line is known better than this, px.
 _NOISE_PX: Final = 0.2
-# So many lines have to tell, and to agree on ρ; below this value the object moved on too little.
+# At least 20 lines have to tell, and to agree on ρ; below 0.45 the object moved on too little.
 _TELLING, _AGREE, _TOO_LITTLE = 20, 0.2, 0.45
 # A scan with fewer such pairs, or whose ρ scatter more than this, shows nothing.
 _PAIRS, _SCATTER = 6, 0.2
