@@ -1,5 +1,6 @@
 """What all tests share: where the real data are, and strict JAX."""
 
+import ctypes
 import gc
 import os
 import shutil
@@ -25,8 +26,9 @@ jax.config.update("jax_numpy_rank_promotion", "raise")
 
 
 # A process may have 65530 areas of memory unless the system says otherwise, and each compiled function takes some.
-_MAPS = Path("/proc/self/maps")
-_MANY_MAPS = 30_000
+# Three processes share the memory.
+_MAPS, _MEMORY = Path("/proc/self/maps"), Path("/proc/self/statm")
+_MANY_MAPS, _MUCH_MEMORY = 30_000, 3 << 30
 # Where shapes are checked at every call: the mathematics' own tests. Elsewhere the same functions are called again.
 _CHECKED = ("tests/geometry/", "tests/rig/", "tests/calibration/", "tests/reconstruction/", "tests/test_elimination.py")
 
@@ -45,10 +47,20 @@ def checked_shapes(request: pytest.FixtureRequest) -> Iterator[None]:
 
 @pytest.fixture(scope="module", autouse=True)
 def few_maps() -> Iterator[None]:
-    """Forget compiled functions before there are too many for one process: the next one to compile would abort it."""
+    """Forget compiled functions before there are too many for one process, or they take too much memory.
+
+    With too many areas of memory the next one to compile would abort the process.
+    """
     yield
-    if _MAPS.exists() and _MAPS.read_text().count("\n") > _MANY_MAPS:
+    if not _MAPS.exists():
+        return
+    resident = int(_MEMORY.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+    if _MAPS.read_text().count("\n") > _MANY_MAPS or resident > _MUCH_MEMORY:
         jax.clear_caches()
+        gc.collect()
+        # What the compiler has freed is held for its next use otherwise, which is most of it.
+        if hasattr(libc := ctypes.CDLL(None), "malloc_trim"):
+            libc.malloc_trim(0)
 
 
 @pytest.fixture(scope="session")
