@@ -51,7 +51,7 @@ from jaxscan.rig import LIGHTS, BoardShape, Camera, Light, LightPlane, Rig, Syst
 from jaxscan.rig.board_shape import BENDS, BOARD_SHAPES
 from jaxscan.rig.light import moves
 from jaxscan.rig.splined import Splined
-from jaxscan.rig.stripe_way import STEEP, across_note, slope_across
+from jaxscan.rig.stripe_way import steep_notes
 
 # σ of the bends to begin with, as a share of the board.
 _FIRST_BEND = 5e-4
@@ -255,9 +255,9 @@ def _across(observations: Observations, rig: Rig) -> list[str]:
         return []
     looked = {stripe.laser: stripe.columns for view in observations.photographs() for stripe in view.stripes}
     return [
-        across_note(name, "over the image", columns=columns)
-        for name, columns in ((observations.lasers[laser], columns) for laser, columns in sorted(looked.items()))
-        if slope_across(rig, name, columns=columns) > STEEP
+        note
+        for laser, columns in sorted(looked.items())
+        for note in steep_notes(rig, observations.lasers[laser], "over the image", columns=columns)
     ]
 
 

@@ -9,7 +9,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryFile
-from typing import IO, Final
+from typing import IO, Any, Final
 
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64, UInt8
@@ -145,9 +145,8 @@ def writing_range_npz(
                     shutil.copyfileobj(part, entry, _COPIED_AT_ONCE)
             noted.update(dict.fromkeys(notes()))
             if noted:
-                encoded = np.frombuffer(json.dumps(list(noted), ensure_ascii=False).encode(), np.uint8)
                 with archive.open(zipfile.ZipInfo(f"{_NOTES}.npy"), "w") as entry:
-                    np.lib.format.write_array(entry, encoded)
+                    np.lib.format.write_array(entry, as_json(list(noted)))
 
 
 def read_range_npz(path: str | os.PathLike[str]) -> RangeArrays:
@@ -176,13 +175,25 @@ def read_range_npz(path: str | os.PathLike[str]) -> RangeArrays:
     return RangeArrays(**arrays, notes=notes)
 
 
-def _read_notes(path: Path, encoded: UInt8[np.ndarray, "bytes"] | None) -> tuple[str, ...]:
-    if encoded is None:
-        return ()
+def as_json(values: Any) -> UInt8[np.ndarray, "bytes"]:
+    """Values as the file has those that are no numbers: JSON in UTF-8."""
+    return np.frombuffer(json.dumps(values, ensure_ascii=False).encode(), np.uint8)
+
+
+def from_json(path: str | os.PathLike[str], name: str, encoded: UInt8[np.ndarray, "bytes"]) -> Any:
+    """The inverse of `as_json`, for an array of a name.
+
+    Raises:
+        InputError: it is no JSON.
+    """
     try:
-        notes = json.loads(encoded.tobytes())
+        return json.loads(encoded.tobytes())
     except (ValueError, RecursionError) as error:
-        raise InputError(f'{path}: "{_NOTES}" is no JSON ({error}): reconstruct again') from error
+        raise InputError(f'{path}: "{name}" is no JSON ({error}): reconstruct again') from error
+
+
+def _read_notes(path: Path, encoded: UInt8[np.ndarray, "bytes"] | None) -> tuple[str, ...]:
+    notes = [] if encoded is None else from_json(path, _NOTES, encoded)
     if not isinstance(notes, list) or not all(isinstance(note, str) for note in notes):
         raise InputError(f'{path}: "{_NOTES}" is no list of sentences: reconstruct again')
     return tuple(notes)

@@ -1,6 +1,5 @@
 """What a range image's file says of its scanner: where the axes stood at each frame, the motion and the light."""
 
-import json
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -12,7 +11,7 @@ from jaxtyping import Int, Int64, UInt8
 from jaxscan.axis_details import is_detail
 from jaxscan.errors import InputError
 from jaxscan.files.axes import STAGE, is_axis_name
-from jaxscan.files.range_npz import RangeArrays
+from jaxscan.files.range_npz import RangeArrays, as_json, from_json
 from jaxscan.files.rig_parts import lights_values, motion_values, part_tables, read_lights, read_motion
 from jaxscan.files.table import Table
 from jaxscan.precision import as_numpy, float64
@@ -32,8 +31,7 @@ def scanner_arrays(
 ) -> tuple[Int64[np.ndarray, "frames axes"], UInt8[np.ndarray, "bytes"]]:
     """As `RangeArrays` has them: positions, and all else as JSON."""
     values = {"axes": list(positions), "lights": lights_values(sheets), "motion": motion_values(motion)}
-    encoded = np.frombuffer(json.dumps(values, ensure_ascii=False).encode(), np.uint8)
-    return np.stack([np.asarray(steps, np.int64) for steps in positions.values()], axis=-1), encoded
+    return np.stack([np.asarray(steps, np.int64) for steps in positions.values()], axis=-1), as_json(values)
 
 
 def read_scanner(path: str | os.PathLike[str], arrays: RangeArrays) -> RangeScanner:
@@ -50,10 +48,7 @@ def read_scanner(path: str | os.PathLike[str], arrays: RangeArrays) -> RangeScan
         with float64():
             stage = Linear.create(arrays.per_step)
         return RangeScanner({STAGE: arrays.steps}, as_numpy(stage), ())
-    try:
-        values = json.loads(arrays.scanner.tobytes())
-    except (ValueError, RecursionError) as error:
-        raise InputError(f'{path}: "scanner" is no JSON ({error}): reconstruct again') from error
+    values = from_json(path, "scanner", arrays.scanner)
     if not isinstance(values, dict):
         raise InputError(f'{path}: "scanner" is no object: reconstruct again')
     table = Table(Path(path), "scanner.", values)

@@ -78,14 +78,16 @@ def closing_notes(
     The arguments are those of `closing`, and the axis's name.
     """
     found = closing(stripes, steps, turn)
-    if found is not None and _SURE * found.sigma > _UNKNOWN * turn:
-        shows = _SURE * found.sigma / turn * 360
+    if found is None:
+        return []
+    surely = _SURE * found.sigma
+    if surely > _UNKNOWN * turn:
         return [
             "whether the turn closes could not be checked: near its first photograph the stripe hardly changes with "
-            f"the turn, so that lost steps, or an object that moved, would show from {shows:.0f}° on: begin the scan "
-            "where the stripe runs over the sides of the object, or photograph in smaller steps"
+            f"the turn, so that lost steps, or an object that moved, would show from {surely / turn * 360:.0f}° on: "
+            "begin the scan where the stripe runs over the sides of the object, or photograph in smaller steps"
         ]
-    if found is None or abs(found.misses) < max(_MISSES * found.step, _SURE * found.sigma):
+    if abs(found.misses) < max(_MISSES * found.step, surely):
         return []
     return [
         f"the turn does not close: after {turn} motor steps the stripe is {abs(found.misses):.0f} of them "

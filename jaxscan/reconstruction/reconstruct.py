@@ -58,10 +58,11 @@ def reconstruct(
     """
     scanner = Scanner(rig, detector, choice, spacetime, depths_mm)
     if not isinstance(scan, Scan):
-        return _of_memory(scanner, scan, advance, spacetime, laser, background)
-    if laser is not None or background is not None:
+        image = _of_memory(scanner, scan, advance, spacetime, laser, background)
+    elif laser is not None or background is not None:
         raise InputError("laser= and background= are for photographs in memory: scan.toml names those of a scan")
-    image = RangeImage.joined(list(scanner.scan(scan, advance)))
+    else:
+        image = RangeImage.joined(list(scanner.scan(scan, advance)))
     return replace(image, notes=tuple(scanner.notes))
 
 
@@ -86,7 +87,7 @@ def _of_memory(
     if not image.valid.any():
         why = "".join(f"; {note}" for note in scanner.notes)
         raise InputError(f"no point was found in any of {len(image.valid)} photographs{why}")
-    return replace(image, notes=tuple(scanner.notes))
+    return image
 
 
 @dataclass(frozen=True)

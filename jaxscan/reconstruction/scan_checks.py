@@ -21,7 +21,7 @@ from jaxscan.reconstruction.turns import sweeps_of
 from jaxscan.rig import MovingLight, Rig
 from jaxscan.rig.given_poses import NM
 from jaxscan.rig.light import light_axes
-from jaxscan.rig.stripe_way import STEEP, across_note, setting_instead, slope_across, way_across
+from jaxscan.rig.stripe_way import setting_instead, slope_across, way_across
 
 # A stripe that runs so much more steeply than the lines in which it is looked for meets few of them.
 _STEEPEST: Final = 3.0
@@ -68,12 +68,6 @@ def check_lines(rig: Rig, laser: StripeSettings, where: str) -> None:
             f"{where}: looks for one point in each {'column' if columns else 'row'}, but by this rig the stripe runs "
             f"{way_across(columns=columns)} over the image: {setting_instead(columns=columns)}"
         )
-
-
-def line_notes(rig: Rig, laser: StripeSettings) -> list[str]:
-    """What is said of a stripe that runs so steeply against its lines that it is badly measured, but not refused."""
-    steep = slope_across(rig, laser.name, columns=laser.columns) > STEEP
-    return [across_note(laser.name, "over the image by this rig", columns=laser.columns)] if steep else []
 
 
 def check_axes(rig: Rig, moving: Sequence[str], named: Sequence[str], where: str, laser: str) -> None:
@@ -182,8 +176,7 @@ def way_notes(rig: Rig, scan: Scan) -> list[str]:
             notes.append(
                 f"the {axis} turns by {whole:.0f} degrees, more than one full turn: places that were seen twice have "
                 "points twice, and jaxscan mesh makes one surface of them. If it turned once, the steps given for "
-                "each frame "
-                f"are wrong: a full turn is {360 / step:.0f}"
+                f"each frame are wrong: a full turn is {360 / step:.0f}"
             )
         if apart > WIDE_APART_DEG:
             notes.append(

@@ -41,7 +41,7 @@ from jaxscan.reconstruction.pose_notes import check_poses, pose_notes
 from jaxscan.reconstruction.range_image import RangeImage
 from jaxscan.reconstruction.ready_laser import ReadyLaser
 from jaxscan.reconstruction.repeat_watch import RepeatWatch
-from jaxscan.reconstruction.scan_checks import check_axes, check_lines, check_scan, line_notes, sweep_notes, way_notes
+from jaxscan.reconstruction.scan_checks import check_axes, check_lines, check_scan, sweep_notes, way_notes
 from jaxscan.reconstruction.scan_colours import object_stands
 from jaxscan.reconstruction.scan_notes import (
     REASONS,
@@ -61,6 +61,7 @@ from jaxscan.reconstruction.thick_sheet import Looked
 from jaxscan.reconstruction.turns import two_frames, with_ends, with_runs
 from jaxscan.rig import MovingLight, Positions, Rig, played_axes, run_of
 from jaxscan.rig.play import Runs
+from jaxscan.rig.stripe_way import steep_notes
 
 # Each has a buffer of its own.
 _MOST_AT_ONCE: Final = 4
@@ -143,7 +144,8 @@ class Scanner:
         self.notes, self.left_out = [], {}
         notes = [*way_notes(rig, scan), *doubts(scan.checks), *gap_notes(scan), *order_notes(scan)]
         beyond = sweep_notes(self._content, scan)
-        notes += [*line_notes(rig, scan.laser), *beyond, *background_notes(rig, scan), *pose_notes(self._content, scan)]
+        notes += steep_notes(rig, scan.laser.name, "over the image by this rig", columns=scan.laser.columns)
+        notes += [*beyond, *background_notes(rig, scan), *pose_notes(self._content, scan)]
         verdicts, watch, order = np.zeros(len(Verdict), int), LightWatch(), OrderWatch(rig.motion)
         sight = SightWatch(rig.motion, [other for other in rig.lights if other is not light])
         # Whoever stops early stops the reader too.

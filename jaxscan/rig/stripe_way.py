@@ -56,3 +56,9 @@ def across_note(laser: str, where: str, *, columns: bool) -> str:
         f"the {stripe_of(laser)} runs {way_across(columns=columns)} {where}, where it is badly measured with the "
         f"present setting: {setting_instead(columns=columns)}"
     )
+
+
+def steep_notes(rig: Rig, laser: str, where: str, *, columns: bool) -> list[str]:
+    """As `across_note`, of a laser whose sheet shows that; none of another."""
+    steep = slope_across(rig, laser, columns=columns) > STEEP
+    return [across_note(laser, where, columns=columns)] if steep else []

@@ -13,7 +13,7 @@ from jaxscan.geometry import Pose
 from jaxscan.precision import as_numpy
 from jaxscan.reconstruction import RangeImage
 from jaxscan.reconstruction.sight_watch import SightWatch
-from jaxscan.rig import Light, Motion, given_poses, positions_of
+from jaxscan.rig import Light, Motion, Rig, given_poses, positions_of
 from jaxscan.simulation import rig_2003, robot, shapes
 from jaxscan.simulation.profile import true_profile
 
@@ -96,15 +96,21 @@ def test_a_stage_that_moved_the_other_way():
     assert "the stage moved the other way than its steps say" in note
 
 
+def turned(rig: Rig, name: str, per_frame: int, off: int, laser: int) -> tuple[np.ndarray, Positions]:
+    """Seen points, positions of a turn all around: the axis stands `off` steps of the stage beside a laser's sheet."""
+    scene = rig_2003.scan_scene(rig, getattr(shapes, name)(rig_2003.OBJECT_Y))
+    steps = rig_2003.turning_axes(per_frame, rig_2003.step_over_axis(rig, laser) + off)
+    q = {axis: np.array(n) for axis, n in steps.items()}
+    at = [{axis: float(n[i]) for axis, n in q.items()} for i in range(len(q["turntable"]))]
+    points = [true_profile(rig, scene, each, lighting=rig_2003.SCAN_LIGHTING, laser=laser).points for each in at]
+    return np.stack([as_numpy(rig.motion.pose(each)).apply(X) for each, X in zip(at, points, strict=True)]), q
+
+
 @pytest.mark.parametrize(("name", "off"), [("figure", 0), ("cup", -1000), ("panda", 3000)])
 def test_a_table_that_turned_the_other_way(name: str, off: int):
     """All around, with the axis in the sheet or beside it."""
     rig = rig_2003.with_turntable(rig_2003.simulated_rig(1), 1)
-    scene = rig_2003.scan_scene(rig, getattr(shapes, name)(rig_2003.OBJECT_Y))
-    q = {axis: np.array(n) for axis, n in rig_2003.turning_axes(60, rig_2003.step_over_axis(rig, 0) + off).items()}
-    at = [{axis: float(n[i]) for axis, n in q.items()} for i in range(len(q["turntable"]))]
-    points = [true_profile(rig, scene, each, lighting=rig_2003.SCAN_LIGHTING).points for each in at]
-    seen = np.stack([as_numpy(rig.motion.pose(each)).apply(X) for each, X in zip(at, points, strict=True)])
+    seen, q = turned(rig, name, 60, off, 0)
     assert notes(seen, q, rig.motion) == []
     (note,) = notes(seen, {**q, "turntable": q["turntable"][::-1]}, rig.motion)
     assert "the turntable moved the other way than its steps say" in note
@@ -114,12 +120,7 @@ def test_a_table_that_turned_the_other_way(name: str, off: int):
 @pytest.mark.parametrize("on", [0, 1])
 def test_a_turn_by_the_light_of_the_other_laser(name: str, on: int):
     rig = rig_2003.with_turntable(rig_2003.simulated_rig(1, lasers=2), 1)
-    scene = rig_2003.scan_scene(rig, getattr(shapes, name)(rig_2003.OBJECT_Y))
-    steps = rig_2003.turning_axes(80, rig_2003.step_over_axis(rig, on))
-    q = {axis: np.array(n) for axis, n in steps.items()}
-    at = [{axis: float(n[i]) for axis, n in q.items()} for i in range(len(q["turntable"]))]
-    points = [true_profile(rig, scene, each, lighting=rig_2003.SCAN_LIGHTING, laser=on).points for each in at]
-    seen = np.stack([as_numpy(rig.motion.pose(each)).apply(X) for each, X in zip(at, points, strict=True)])
+    seen, q = turned(rig, name, 80, 0, on)
     right, wrong = rig.lights[on], rig.lights[1 - on]
     assert notes(seen, q, rig.motion, [wrong]) == []
     # The same rays, met with the plane of the laser that was not on.

@@ -6,10 +6,10 @@ import pytest
 from jaxscan.errors import InputError
 from jaxscan.images import StripeSettings
 from jaxscan.precision import as_numpy, float64
-from jaxscan.reconstruction.scan_checks import check_lines, line_notes
+from jaxscan.reconstruction.scan_checks import check_lines
 from jaxscan.rig import Camera, LightPlane, Rig
 from jaxscan.rig.bowed_sheet import BowedSheet
-from jaxscan.rig.stripe_way import stripe_slope
+from jaxscan.rig.stripe_way import steep_notes, stripe_slope
 
 DEPTH_MM, BOW = 300.0, 3.0
 
@@ -74,6 +74,6 @@ def test_a_stripe_that_is_looked_for_across_its_way_is_refused(omega, columns, s
 def test_a_steep_stripe_is_measured_and_spoken_of(omega, notes):
     rig, laser = rig_of(LightPlane.create(omega)), StripeSettings("red", True)
     check_lines(rig, laser, "scan.toml")
-    said = line_notes(rig, laser)
+    said = steep_notes(rig, laser.name, "over the image by this rig", columns=laser.columns)
     assert len(said) == notes
     assert all("set columns = false" in note for note in said)
